@@ -1,4 +1,5 @@
-//! Renders a scene along the path of its own cameras with time stopped: `cargo run --release --example render_path SCENE OUT.mp4`.
+//! Renders a scene along the path of its own cameras with time stopped:
+//! `cargo run --release --example render_path SCENE OUT.mp4`.
 
 use minute4d::m4_io::video::Mp4Writer;
 use minute4d::prelude::*;
@@ -17,7 +18,10 @@ pub fn run(mut args: impl Iterator<Item = String>) -> Result<(), Box<dyn std::er
     let scene = Scene::read(scene)?;
     let first = scene.source.first().ok_or("the scene has no cameras")?;
     // the sides of a video are even
-    let (width, height) = (first.camera.intrinsics.width / 2 * 2, first.camera.intrinsics.height / 2 * 2);
+    let (width, height) = (
+        first.camera.intrinsics.width / 2 * 2,
+        first.camera.intrinsics.height / 2 * 2,
+    );
     let mut video = Mp4Writer::create(Path::new(&out), width, height, source_fps(&scene))?;
     let middle = (scene.time_frames as f64 - 1.0) / 2.0;
     for source in &scene.source {

@@ -1,5 +1,5 @@
-//! Trains a scene on a capture, from `minute4d geometry` or another tool (`minute4d import`), and exports it:
-//! `cargo run --release --example train_capture CAPTURE OUT.ply [ITERATIONS]`.
+//! Trains a scene on a capture, from `minute4d geometry` or another tool (`minute4d import`), and
+//! exports it: `cargo run --release --example train_capture CAPTURE OUT.ply [ITERATIONS]`.
 
 #![expect(clippy::print_stdout, reason = "a program for a terminal")]
 
@@ -18,7 +18,11 @@ pub fn run(mut args: impl Iterator<Item = String>) -> Result<(), Box<dyn std::er
     let capture = Capture::read(capture)?;
     let scene = train(&capture, &Options::new().iterations(iterations))?;
     let middle = (scene.time_frames as f64 - 1.0) / 2.0;
-    println!("{} splats, {} of them visible at frame {middle}", scene.splats.n(), scene.at(middle).n());
+    println!(
+        "{} splats, {} of them visible at frame {middle}",
+        scene.splats.n(),
+        scene.at(middle).n()
+    );
     scene.export(out)?;
     Ok(())
 }

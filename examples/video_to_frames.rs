@@ -1,7 +1,11 @@
-//! Reconstructs a video, trains a scene and renders it from a camera beside the path: `cargo run --release --example video_to_frames
-//! CLIP FOLDER [SECONDS]`.
+//! Reconstructs a video, trains a scene and renders it from a camera beside the path:
+//! `cargo run --release --example video_to_frames CLIP FOLDER [SECONDS]`.
 
-#![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for a terminal")]
+#![expect(
+    clippy::print_stdout,
+    clippy::print_stderr,
+    reason = "a program for a terminal"
+)]
 
 use minute4d::Event;
 use minute4d::m4_io::image::write_rgb;
@@ -24,14 +28,20 @@ pub fn run(mut args: impl Iterator<Item = String>) -> Result<(), Box<dyn std::er
         }
     });
     let made = reconstruct(&Video::open(clip)?, &options)?;
-    println!("{} frames, {:.1} degrees of view", made.summary.frames, made.summary.fov_deg);
+    println!(
+        "{} frames, {:.1} degrees of view",
+        made.summary.frames, made.summary.fov_deg
+    );
     let scene = train(&made.capture, &options)?;
     std::fs::create_dir_all(&folder)?;
     for (i, frame) in made.capture.frames.iter().enumerate() {
         let mut camera = frame.camera;
         // a step to the right of where the video was taken, in units of the scene
         camera.c2w.translation += camera.c2w.rotation.column(0) * 0.05;
-        write_rgb(&folder.join(format!("{i:05}.png")), &scene.render(&camera, frame.t)?)?;
+        write_rgb(
+            &folder.join(format!("{i:05}.png")),
+            &scene.render(&camera, frame.t)?,
+        )?;
     }
     scene.write(folder.join("scene.safetensors"))?;
     Ok(())

@@ -1,5 +1,5 @@
-//! What all targets share: the readers of a family, their folders, and what counts as a crash besides a panic. The table of readers is
-//! that of the tests of `minute4d_cli`.
+//! What all targets share: the readers of a family, their folders, and what counts as a crash
+//! besides a panic. The table of readers is that of the tests of `minute4d_cli`.
 
 pub use libfuzzer_sys;
 
@@ -36,8 +36,8 @@ pub fn of_family(family: &str) -> Vec<Reader> {
     table::readers().into_iter().filter(|r| r.family() == family).collect()
 }
 
-/// The first byte says which reader of the family reads the others; panics where what came of them is not valid or a message
-/// quotes the file.
+/// The first byte says which reader of the family reads the others; panics where what came of them
+/// is not valid or a message quotes the file.
 pub fn read(family: &str, input: &[u8]) {
     let Some((&which, bytes)) = input.split_first() else { return };
     STAGES.with(|held| {

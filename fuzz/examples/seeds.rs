@@ -1,5 +1,5 @@
-//! Writes valid files and the findings of the corpus to `fuzz/corpus`, in the form that the fuzz targets read: `cargo run --example
-//! seeds` in `fuzz/`.
+//! Writes valid files and the findings of the corpus to `fuzz/corpus`, in the form that the fuzz
+//! targets read: `cargo run --example seeds` in `fuzz/`.
 
 use m4_fuzz_targets::files::corpus;
 use m4_fuzz_targets::of_family;

@@ -1,5 +1,5 @@
-//! Which crate may depend on which: the table of ARCHITECTURE.md against `cargo metadata`. Where dependencies come from: registries
-//! alone.
+//! Which crate may depend on which: the table of ARCHITECTURE.md against `cargo metadata`. Where
+//! dependencies come from: registries alone.
 
 use anyhow::{Context, Result, bail};
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,9 +12,14 @@ pub type Arrows = BTreeMap<String, BTreeSet<String>>;
 /// The crate that only tests may use; every crate may have it as a dev-dependency.
 pub const TESTKIT: &str = "m4_testkit";
 
-/// Crates whose tests may also use another: to read real data, and to compare what they made with what our own renderer draws of it.
-const FOR_TESTS: [(&str, &str); 4] =
-    [("m4_geometry", "m4_io"), ("m4_train", "m4_io"), ("m4_viewer", "m4_kernels"), ("minute4d_cli", "m4_eval")];
+/// Crates whose tests may also use another: to read real data, and to compare what they made with
+/// what our own renderer draws of it.
+const FOR_TESTS: [(&str, &str); 4] = [
+    ("m4_geometry", "m4_io"),
+    ("m4_train", "m4_io"),
+    ("m4_viewer", "m4_kernels"),
+    ("minute4d_cli", "m4_eval"),
+];
 
 fn for_tests(from: &str, to: &str) -> bool {
     to == TESTKIT || FOR_TESTS.contains(&(from, to))
@@ -33,19 +38,32 @@ pub struct Actual {
 pub fn actual(root: &Path) -> Result<Actual> {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let output = Command::new(cargo)
-        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .args([
+            "metadata",
+            "--format-version",
+            "1",
+            "--no-deps",
+            "--offline",
+        ])
         .current_dir(root)
         .output()
         .context("cannot start cargo metadata")?;
     if !output.status.success() {
-        bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
+        bail!(
+            "cargo metadata failed: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
     }
-    from_metadata(&serde_json::from_slice(&output.stdout).context("cargo metadata printed no JSON")?)
+    from_metadata(
+        &serde_json::from_slice(&output.stdout).context("cargo metadata printed no JSON")?,
+    )
 }
 
 /// Reads the arrows from the JSON of `cargo metadata --no-deps`; `xtask` itself is left out.
 pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
-    let packages = metadata["packages"].as_array().context("metadata has no packages")?;
+    let packages = metadata["packages"]
+        .as_array()
+        .context("metadata has no packages")?;
     let text = |v: &serde_json::Value| v.as_str().map(str::to_owned);
     let names: BTreeSet<String> = packages.iter().filter_map(|p| text(&p["name"])).collect();
     let mut arrows = Actual::default();
@@ -56,20 +74,27 @@ pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
         }
         arrows.normal.entry(name.clone()).or_default();
         arrows.dev.entry(name.clone()).or_default();
-        for dependency in package["dependencies"].as_array().context("a package without dependencies")? {
+        for dependency in package["dependencies"]
+            .as_array()
+            .context("a package without dependencies")?
+        {
             let to = text(&dependency["name"]).context("a dependency without a name")?;
             if !names.contains(&to) {
                 continue;
             }
-            let kind = if dependency["kind"] == "dev" { &mut arrows.dev } else { &mut arrows.normal };
+            let kind = if dependency["kind"] == "dev" {
+                &mut arrows.dev
+            } else {
+                &mut arrows.normal
+            };
             kind.entry(name.clone()).or_default().insert(to);
         }
     }
     Ok(arrows)
 }
 
-/// Reads the allowed arrows from the table of ARCHITECTURE.md whose header says `may depend on`: a row names a crate, and those that it
-/// may depend on, in backticks.
+/// Reads the allowed arrows from the table of ARCHITECTURE.md whose header says `may depend on`: a
+/// row names a crate, and those that it may depend on, in backticks.
 pub fn allowed(markdown: &str) -> Arrows {
     let mut arrows = Arrows::new();
     let mut in_table = false;
@@ -107,8 +132,13 @@ pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
             }
         }
     }
-    for name in allowed.keys().filter(|name| !actual.normal.contains_key(*name)) {
-        found.push(format!("ARCHITECTURE.md has a row for {name}, which is not a crate of this workspace"));
+    for name in allowed
+        .keys()
+        .filter(|name| !actual.normal.contains_key(*name))
+    {
+        found.push(format!(
+            "ARCHITECTURE.md has a row for {name}, which is not a crate of this workspace"
+        ));
     }
     found
 }
@@ -116,10 +146,15 @@ pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
 /// Checks the workspace at `root` against its ARCHITECTURE.md.
 pub fn check(root: &Path) -> Result<()> {
     let path = root.join("ARCHITECTURE.md");
-    let markdown = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let markdown = std::fs::read_to_string(&path)
+        .with_context(|| format!("cannot read {}", path.display()))?;
     let actual = actual(root)?;
     let found = violations(&actual, &allowed(&markdown));
-    if found.is_empty() { Ok(()) } else { bail!("{}", found.join("\n")) }
+    if found.is_empty() {
+        Ok(())
+    } else {
+        bail!("{}", found.join("\n"))
+    }
 }
 
 /// The packages of a Cargo.lock that come from a git repository, each as `name: source`.
@@ -142,7 +177,12 @@ pub fn git_sources(lock: &str) -> Vec<String> {
 /// Checks the Cargo.lock of the workspace at `root`.
 pub fn check_lock(root: &Path) -> Result<()> {
     let path = root.join("Cargo.lock");
-    let lock = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let lock = std::fs::read_to_string(&path)
+        .with_context(|| format!("cannot read {}", path.display()))?;
     let found = git_sources(&lock);
-    if found.is_empty() { Ok(()) } else { bail!("packages from git:\n{}", found.join("\n")) }
+    if found.is_empty() {
+        Ok(())
+    } else {
+        bail!("packages from git:\n{}", found.join("\n"))
+    }
 }

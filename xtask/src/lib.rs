@@ -1,8 +1,8 @@
 //! What the checks know: the allowed arrows between crates and between modules, the sources of
 //! dependencies, the widths of prose.
 //!
-//! The program (`cargo xtask check`) runs these with formats, lints and docs, and `cargo xtask test` the tests; CI runs the
-//! program and nothing else.
+//! The program (`cargo xtask check`) runs these with formats, lints and docs, and
+//! `cargo xtask test` the tests; CI runs the program and nothing else.
 #![forbid(unsafe_code)]
 
 pub mod arrows;

@@ -1,11 +1,12 @@
-//! Where the paper stands in the code: the table of equations of ARCHITECTURE.md against the markers in the sources, and
-//! citations of the specifications against their headings.
+//! Where the paper stands in the code: the table of equations of ARCHITECTURE.md against the
+//! markers in the sources, and citations of the specifications against their headings.
 
 use anyhow::{Context, Result, bail};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// What must have a row of the table, and for equations the caption that the row must begin with: what each is in the paper.
+/// What must have a row of the table, and for equations the caption that the row must begin with:
+/// what each is in the paper.
 pub const ITEMS: [(&str, &str); 13] = [
     ("Eq. 1", "Gaussian"),
     ("Eq. 2", "4DSH"),
@@ -43,7 +44,9 @@ pub type Sources = BTreeMap<String, String>;
 
 /// The digits and dots at the start of `text`, without a dot at their end.
 fn number(text: &str) -> &str {
-    let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let end = text
+        .find(|c: char| !c.is_ascii_digit() && c != '.')
+        .unwrap_or(text.len());
     text[..end].trim_end_matches('.')
 }
 
@@ -74,7 +77,10 @@ pub fn rows(markdown: &str) -> Vec<Row> {
         let mut columns = inside.split('|').map(str::trim);
         let (first, second) = (columns.next().unwrap_or(""), columns.next().unwrap_or(""));
         if in_table && !first.starts_with("--") {
-            let links = inside.split("](").skip(1).filter_map(|part| part.split(')').next());
+            let links = inside
+                .split("](")
+                .skip(1)
+                .filter_map(|part| part.split(')').next());
             rows.push(Row {
                 item: first.to_owned(),
                 caption: second.split(':').next().unwrap_or("").to_owned(),
@@ -90,12 +96,20 @@ pub fn rows(markdown: &str) -> Vec<Row> {
 pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
     let mut found = Vec::new();
     for (item, caption) in ITEMS {
-        match &rows.iter().filter(|row| row.item == item).collect::<Vec<_>>()[..] {
+        match &rows
+            .iter()
+            .filter(|row| row.item == item)
+            .collect::<Vec<_>>()[..]
+        {
             [row] if caption.is_empty() || row.caption == caption => {}
-            [row] => {
-                found.push(format!("the row for {item} has the caption `{}` in place of `{caption}`", row.caption))
-            }
-            several => found.push(format!("the table has {} rows for {item} in place of one", several.len())),
+            [row] => found.push(format!(
+                "the row for {item} has the caption `{}` in place of `{caption}`",
+                row.caption
+            )),
+            several => found.push(format!(
+                "the table has {} rows for {item} in place of one",
+                several.len()
+            )),
         }
     }
     for Row { item, files, .. } in rows {
@@ -104,9 +118,13 @@ pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
         }
         for file in files {
             match sources.get(file) {
-                None => found.push(format!("the row for {item} names {file}, which is no source file")),
+                None => found.push(format!(
+                    "the row for {item} names {file}, which is no source file"
+                )),
                 Some(text) if !markers(text).contains(item) => {
-                    found.push(format!("{file} lacks the marker `{PAPER}{item}` of its row"));
+                    found.push(format!(
+                        "{file} lacks the marker `{PAPER}{item}` of its row"
+                    ));
                 }
                 Some(_) => {}
             }
@@ -114,39 +132,54 @@ pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
     }
     for (file, text) in sources {
         for marker in markers(text) {
-            let named = rows.iter().any(|row| row.item == marker && row.files.contains(file));
+            let named = rows
+                .iter()
+                .any(|row| row.item == marker && row.files.contains(file));
             if !named {
-                found.push(format!("{file} has the marker `{PAPER}{marker}`, and no row for it names the file"));
+                found.push(format!(
+                    "{file} has the marker `{PAPER}{marker}`, and no row for it names the file"
+                ));
             }
         }
     }
     found
 }
 
-/// The numbers of the headings of a specification: `## 3. Optimisation` as `3`, `### 4.4 Reading` as `4.4`.
+/// The numbers of the headings of a specification: `## 3. Optimisation` as `3`, `### 4.4 Reading`
+/// as `4.4`.
 pub fn headings(markdown: &str) -> BTreeSet<String> {
     let titles = markdown.lines().filter(|line| line.starts_with("##"));
     let numbers = titles.map(|line| number(line.trim_start_matches('#').trim_start()));
-    numbers.filter(|n| !n.is_empty()).map(str::to_owned).collect()
+    numbers
+        .filter(|n| !n.is_empty())
+        .map(str::to_owned)
+        .collect()
 }
 
-/// Citations such as `docs/spec/optimiser.md 4.4` whose file or heading does not exist; `headings` are those of each
-/// specification by its path.
+/// Citations such as `docs/spec/optimiser.md 4.4` whose file or heading does not exist; `headings`
+/// are those of each specification by its path.
 pub fn dangling(sources: &Sources, headings: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     let mut found = Vec::new();
     for (file, text) in sources {
         for (at, _) in text.match_indices(SPECIFICATIONS) {
             let cited = &text[at..];
-            let end = cited.find(".md").map_or(cited.len(), |end| end + ".md".len());
+            let end = cited
+                .find(".md")
+                .map_or(cited.len(), |end| end + ".md".len());
             let (specification, rest) = cited.split_at(end);
             let Some(headings) = headings.get(specification) else {
-                let start = specification.split_whitespace().next().unwrap_or(specification);
+                let start = specification
+                    .split_whitespace()
+                    .next()
+                    .unwrap_or(specification);
                 found.push(format!("{file} cites {start}, which is no specification"));
                 continue;
             };
             let section = number(rest.trim_start());
             if !headings.contains(section) {
-                found.push(format!("{file} cites section `{section}` of {specification}, which has none"));
+                found.push(format!(
+                    "{file} cites section `{section}` of {specification}, which has none"
+                ));
             }
         }
     }
@@ -159,7 +192,9 @@ fn read(path: &Path) -> Result<String> {
 
 /// Adds the Rust and TypeScript files under `folder`, which is `name` relative to the root.
 fn collect(folder: &Path, name: &str, sources: &mut Sources) -> Result<()> {
-    for entry in std::fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))? {
+    for entry in
+        std::fs::read_dir(folder).with_context(|| format!("cannot list {}", folder.display()))?
+    {
         let path = entry?.path();
         let Some(last) = path.file_name().and_then(|n| n.to_str()) else {
             continue;
@@ -188,7 +223,8 @@ pub fn sources(root: &Path) -> Result<Sources> {
     Ok(sources)
 }
 
-/// Checks the sources under `root` against the table of its ARCHITECTURE.md and the headings of `docs/spec`.
+/// Checks the sources under `root` against the table of its ARCHITECTURE.md and the headings of
+/// `docs/spec`.
 pub fn check(root: &Path) -> Result<()> {
     let sources = sources(root)?;
     let mut found = violations(&rows(&read(&root.join("ARCHITECTURE.md"))?), &sources);
@@ -199,5 +235,9 @@ pub fn check(root: &Path) -> Result<()> {
         specifications.insert(path, headings(&text));
     }
     found.extend(dangling(&sources, &specifications));
-    if found.is_empty() { Ok(()) } else { bail!("{}", found.join("\n")) }
+    if found.is_empty() {
+        Ok(())
+    } else {
+        bail!("{}", found.join("\n"))
+    }
 }

@@ -1,7 +1,8 @@
 //! `cargo xtask test`: runs the tests and lists the skipped ones.
 //!
-//! Tests that lack something on this machine return early and add a line to the file that `MINUTE4D_SKIPPED` names
-//! (`m4_testkit::skip`). The harness hides what they print; this program prints the lines when everything has run.
+//! Tests that lack something on this machine return early and add a line to the file that
+//! `MINUTE4D_SKIPPED` names (`m4_testkit::skip`). The harness hides what they print; this program
+//! prints the lines when everything has run.
 
 #![expect(clippy::print_stderr, reason = "skipped tests are listed")]
 
@@ -15,7 +16,8 @@ use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// What the tests of the default program leave out: networks. Without features nothing of GPUs is compiled.
+/// What the tests of the default program leave out: networks. Without features nothing of GPUs is
+/// compiled.
 const DEFAULT: [&str; 3] = ["--workspace", "--exclude", "m4_nets"];
 /// What `full` adds to the program, with the crates whose tests it changes.
 const FULL: [&str; 14] = [
@@ -35,8 +37,9 @@ const FULL: [&str; 14] = [
     "minute4d_cli/full,m4_nets/gpu",
 ];
 
-/// Compiles in one unit what most of the time of the tests is spent in, so that everything can be inlined. Not in Cargo.toml: who
-/// changes one of these crates and runs its tests alone wants only the changed parts compiled.
+/// Compiles in one unit what most of the time of the tests is spent in, so that everything can be
+/// inlined. Not in Cargo.toml: who changes one of these crates and runs its tests alone wants only
+/// the changed parts compiled.
 const ONE_UNIT: [&str; 6] = [
     "--config",
     "profile.dev.package.m4_geometry.codegen-units=1",
@@ -48,7 +51,8 @@ const ONE_UNIT: [&str; 6] = [
 
 /// Programs of the default tests that run at a time: many end with one long test.
 const AT_A_TIME: usize = 2;
-/// The same of what `full` adds: those of GPUs mostly wait for the one thread that compiles kernels.
+/// The same of what `full` adds: those of GPUs mostly wait for the one thread that compiles
+/// kernels.
 const AT_A_TIME_FULL: usize = 3;
 
 /// What to run, and what must not be missing.
@@ -71,11 +75,17 @@ impl Tests {
             match word {
                 "--full" => tests.full = true,
                 "--require" => {
-                    let needs = words.next().context("--require wants names, such as ffmpeg,chromium")?;
+                    let needs = words
+                        .next()
+                        .context("--require wants names, such as ffmpeg,chromium")?;
                     tests.required.extend(needs.split(',').map(str::to_owned));
                 }
-                "--" => tests.more.extend(words.by_ref().map(|&word| word.to_owned())),
-                other => bail!("{other}: expected --full, --require NEED,... or -- and arguments of cargo test"),
+                "--" => tests
+                    .more
+                    .extend(words.by_ref().map(|&word| word.to_owned())),
+                other => bail!(
+                    "{other}: expected --full, --require NEED,... or -- and arguments of cargo test"
+                ),
             }
         }
         Ok(tests)
@@ -113,7 +123,10 @@ pub fn run(root: &Path, tests: &Tests) -> Result<()> {
         default_tests(root, &list)
     } else {
         let mut command = cargo(root, &["test", "--no-fail-fast"]);
-        command.args(DEFAULT).args(&tests.more).env("MINUTE4D_SKIPPED", &list);
+        command
+            .args(DEFAULT)
+            .args(&tests.more)
+            .env("MINUTE4D_SKIPPED", &list);
         ended(command, "cargo test")
     };
     let text = match std::fs::read_to_string(&list) {
@@ -154,7 +167,10 @@ pub fn summary(skipped: &[Skipped]) -> String {
         needs.entry(&one.need).or_default().push(one);
     }
     let names: BTreeSet<&str> = skipped.iter().map(|s| s.test.as_str()).collect();
-    let mut out = format!("\nNOT TESTED on this machine, wholly or in part: {} tests\n", names.len());
+    let mut out = format!(
+        "\nNOT TESTED on this machine, wholly or in part: {} tests\n",
+        names.len()
+    );
     for (need, tests) in needs {
         let hint = tests.first().map_or("", |s| s.hint.as_str());
         // Writing to a string does not fail.
@@ -169,11 +185,17 @@ pub fn summary(skipped: &[Skipped]) -> String {
 /// Fails where a test was skipped for the lack of something that must be there.
 pub fn lacking(skipped: &[Skipped], required: &BTreeSet<String>) -> Result<()> {
     let missing: BTreeSet<&str> = skipped.iter().map(|s| s.need.as_str()).collect();
-    let missing: Vec<&str> = missing.into_iter().filter(|need| required.contains(*need)).collect();
+    let missing: Vec<&str> = missing
+        .into_iter()
+        .filter(|need| required.contains(*need))
+        .collect();
     if missing.is_empty() {
         return Ok(());
     }
-    bail!("tests were skipped for want of {}, which must be there", missing.join(", "))
+    bail!(
+        "tests were skipped for want of {}, which must be there",
+        missing.join(", ")
+    )
 }
 
 /// The programs that run longest, the longest first: they start before others.
@@ -187,7 +209,8 @@ const LONGEST: [&str; 8] = [
     "m4_geometry (test it)",
     "m4_io (test it)",
 ];
-/// Runs after the others: it moves fingers and the mouse over the page, which a busy machine mistakes for other gestures.
+/// Runs after the others: it moves fingers and the mouse over the page, which a busy machine
+/// mistakes for other gestures.
 const ALONE: &str = "xtask (test it)";
 
 /// A program of tests.
@@ -203,19 +226,31 @@ struct Program {
 /// Runs the tests of the default program, and the examples of its documentation.
 fn default_tests(root: &Path, list: &Path) -> Result<()> {
     let programs = programs(root, &DEFAULT, &[])?;
-    let ran = run_programs(programs.into_iter().map(|program| (program, Vec::new())).collect(), AT_A_TIME, list);
+    let ran = run_programs(
+        programs
+            .into_iter()
+            .map(|program| (program, Vec::new()))
+            .collect(),
+        AT_A_TIME,
+        list,
+    );
     let mut examples = cargo(root, &["test", "--doc", "--no-fail-fast"]);
     examples.args(DEFAULT);
     let examples = ended(examples, "cargo test --doc");
     ran.and(examples)
 }
 
-/// Runs the tests that are not among those of the default program: all of networks and GPUs, and of the program those that
-/// exist with its features only.
+/// Runs the tests that are not among those of the default program: all of networks and GPUs, and of
+/// the program those that exist with its features only.
 fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
     let before: BTreeSet<(String, String)> = programs(root, &DEFAULT, more)?
         .iter()
-        .map(|program| Ok(names(program)?.into_iter().map(|test| (program.name.clone(), test)).collect()))
+        .map(|program| {
+            Ok(names(program)?
+                .into_iter()
+                .map(|test| (program.name.clone(), test))
+                .collect())
+        })
         .collect::<Result<Vec<Vec<_>>>>()?
         .into_iter()
         .flatten()
@@ -233,15 +268,26 @@ fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
     run_programs(waiting, AT_A_TIME_FULL, list)
 }
 
-/// Runs tests of programs, all where none are named: the longest first, and at last the program that needs the machine for itself.
-fn run_programs(programs: Vec<(Program, Vec<String>)>, at_a_time: usize, list: &Path) -> Result<()> {
-    let (alone, others): (Vec<_>, Vec<_>) = programs.into_iter().partition(|(program, _)| program.name == ALONE);
+/// Runs tests of programs, all where none are named: the longest first, and at last the program
+/// that needs the machine for itself.
+fn run_programs(
+    programs: Vec<(Program, Vec<String>)>,
+    at_a_time: usize,
+    list: &Path,
+) -> Result<()> {
+    let (alone, others): (Vec<_>, Vec<_>) = programs
+        .into_iter()
+        .partition(|(program, _)| program.name == ALONE);
     let first = run_several(others, at_a_time, list);
     first.and(run_several(alone, 1, list))
 }
 
 /// Runs programs, `at_a_time` at once.
-fn run_several(mut waiting: Vec<(Program, Vec<String>)>, at_a_time: usize, list: &Path) -> Result<()> {
+fn run_several(
+    mut waiting: Vec<(Program, Vec<String>)>,
+    at_a_time: usize,
+    list: &Path,
+) -> Result<()> {
     // The last is taken first.
     waiting.sort_by_key(|(program, _)| LONGEST.iter().rev().position(|&name| name == program.name));
     let waiting = Mutex::new(waiting);
@@ -253,7 +299,10 @@ fn run_several(mut waiting: Vec<(Program, Vec<String>)>, at_a_time: usize, list:
                 while let Some((program, names)) = next() {
                     if let Err(error) = run_alone(&program, &names, list) {
                         eprintln!("{error:#}");
-                        failed.lock().unwrap_or_else(PoisonError::into_inner).push(program.name);
+                        failed
+                            .lock()
+                            .unwrap_or_else(PoisonError::into_inner)
+                            .push(program.name);
                     }
                 }
             });
@@ -266,7 +315,8 @@ fn run_several(mut waiting: Vec<(Program, Vec<String>)>, at_a_time: usize, list:
     }
 }
 
-/// Runs these tests of a program, or all, and prints its output when it ends, so that outputs of several programs do not mix.
+/// Runs these tests of a program, or all, and prints its output when it ends, so that outputs of
+/// several programs do not mix.
 fn run_alone(program: &Program, names: &[String], list: &Path) -> Result<()> {
     eprintln!("     Running {}", program.name);
     let mut command = Command::new(&program.path);
@@ -280,20 +330,45 @@ fn run_alone(program: &Program, names: &[String], list: &Path) -> Result<()> {
         .env("MINUTE4D_SKIPPED", list)
         .output()
         .with_context(|| format!("cannot start {}", program.name))?;
-    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    let text =
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     let seconds = started.elapsed().as_secs();
-    eprintln!("     Ended: {} after {seconds} s\n{}", program.name, text.concat());
-    if output.status.success() { Ok(()) } else { bail!("{} ended with {}", program.name, output.status) }
+    eprintln!(
+        "     Ended: {} after {seconds} s\n{}",
+        program.name,
+        text.concat()
+    );
+    if output.status.success() {
+        Ok(())
+    } else {
+        bail!("{} ended with {}", program.name, output.status)
+    }
 }
 
 /// Builds the programs of tests of a selection of packages; warnings are errors.
 fn programs(root: &Path, selection: &[&str], more: &[String]) -> Result<Vec<Program>> {
-    let mut command = cargo(root, &["test", "--lib", "--bins", "--tests", "--no-run", "--message-format=json"]);
-    command.args(selection).args(more).stdout(Stdio::piped()).stderr(Stdio::inherit());
+    let mut command = cargo(
+        root,
+        &[
+            "test",
+            "--lib",
+            "--bins",
+            "--tests",
+            "--no-run",
+            "--message-format=json",
+        ],
+    );
+    command
+        .args(selection)
+        .args(more)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::inherit());
     let mut build = command.spawn().context("cannot start cargo")?;
     let (mut programs, mut warned) = (Vec::new(), false);
     for line in BufReader::new(build.stdout.take().context("cargo has no output")?).lines() {
-        let Ok(message) = serde_json::from_str::<Value>(&line.context("cannot read the output of cargo")?) else {
+        let Ok(message) =
+            serde_json::from_str::<Value>(&line.context("cannot read the output of cargo")?)
+        else {
             continue;
         };
         if let Some(rendered) = message["message"]["rendered"].as_str() {
@@ -317,10 +392,24 @@ fn program(root: &Path, message: &Value) -> Option<Program> {
     let is_test = message["reason"] == "compiler-artifact" && message["profile"]["test"] == true;
     let text = |value: &Value| value.as_str().map(str::to_owned);
     let path = text(&message["executable"]).filter(|_| is_test)?;
-    let folder = Path::new(message["manifest_path"].as_str()?).parent().unwrap_or(root).to_path_buf();
-    let (target, kind) = (text(&message["target"]["name"])?, text(&message["target"]["kind"][0])?);
-    let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Some(Program { name: format!("{package} ({kind} {target})"), path: path.into(), folder })
+    let folder = Path::new(message["manifest_path"].as_str()?)
+        .parent()
+        .unwrap_or(root)
+        .to_path_buf();
+    let (target, kind) = (
+        text(&message["target"]["name"])?,
+        text(&message["target"]["kind"][0])?,
+    );
+    let package = folder
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
+    Some(Program {
+        name: format!("{package} ({kind} {target})"),
+        path: path.into(),
+        folder,
+    })
 }
 
 /// The names of a program's tests that are not ignored.
@@ -339,7 +428,11 @@ fn names(program: &Program) -> Result<Vec<String>> {
             bail!("{} cannot list its tests", program.name);
         }
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        Ok(text.lines().filter_map(|line| line.strip_suffix(": test")).map(str::to_owned).collect())
+        Ok(text
+            .lines()
+            .filter_map(|line| line.strip_suffix(": test"))
+            .map(str::to_owned)
+            .collect())
     };
     Ok(listed(false)?.difference(&listed(true)?).cloned().collect())
 }
@@ -351,6 +444,12 @@ fn cargo(root: &Path, arguments: &[&str]) -> Command {
 }
 
 fn ended(mut command: Command, name: &str) -> Result<()> {
-    let status = command.status().with_context(|| format!("cannot start {name}"))?;
-    if status.success() { Ok(()) } else { bail!("{name} ended with {status}") }
+    let status = command
+        .status()
+        .with_context(|| format!("cannot start {name}"))?;
+    if status.success() {
+        Ok(())
+    } else {
+        bail!("{name} ended with {status}")
+    }
 }

@@ -1,5 +1,6 @@
-//! The integration tests of this crate, in one program: the tables of ARCHITECTURE.md and the citations of docs/spec are true and the
-//! checks that say so can fail; cycles among modules; what is made of the lines that skipped tests leave; whether the page that is kept is the one that its
+//! The integration tests of this crate, in one program: the tables of ARCHITECTURE.md and the
+//! citations of docs/spec are true and the checks that say so can fail; cycles among modules; what
+//! is made of the lines that skipped tests leave; whether the page that is kept is the one that its
 //! sources build to.
 
 mod modules;
@@ -20,7 +21,13 @@ fn skipped_tests_are_listed_once_with_a_hint() {
     let skipped = parse(LINES).unwrap();
     assert_eq!(skipped.len(), 2);
     let words = summary(&skipped);
-    for part in ["2 tests", "for want of ffmpeg: install ffmpeg", "gpu::draws", "video.rs:7", "no adapter"] {
+    for part in [
+        "2 tests",
+        "for want of ffmpeg: install ffmpeg",
+        "gpu::draws",
+        "video.rs:7",
+        "no adapter",
+    ] {
         assert!(words.contains(part), "{part}: {words}");
     }
     assert!(summary(&[]).contains("Every test could run"));
@@ -39,10 +46,14 @@ fn missing_requirements_fail_the_run() {
 
 #[test]
 fn arguments_are_read() {
-    let tests = Tests::of_arguments(&["--full", "--require", "ffmpeg,vulkan", "--", "--test", "it"]).unwrap();
+    let tests =
+        Tests::of_arguments(&["--full", "--require", "ffmpeg,vulkan", "--", "--test", "it"])
+            .unwrap();
     assert!(tests.full && tests.required.contains("vulkan") && tests.required.len() == 2);
     assert_eq!(tests.more, ["--test", "it"]);
-    assert!(Tests::of_arguments(&["--fast"]).is_err() && Tests::of_arguments(&["--require"]).is_err());
+    assert!(
+        Tests::of_arguments(&["--fast"]).is_err() && Tests::of_arguments(&["--require"]).is_err()
+    );
 }
 
 #[test]
@@ -63,7 +74,9 @@ fn set(names: &[&str]) -> BTreeSet<String> {
 }
 
 fn arrows_of(rows: &[(&str, &[&str])]) -> Arrows {
-    rows.iter().map(|&(from, to)| (from.to_owned(), set(to))).collect()
+    rows.iter()
+        .map(|&(from, to)| (from.to_owned(), set(to)))
+        .collect()
 }
 
 const CRATES: &str = "
@@ -87,34 +100,61 @@ fn this_workspace_keeps_to_its_table() {
 fn nothing_comes_from_git() {
     xtask::arrows::check_lock(&xtask::root()).unwrap();
     let lock = "[[package]]\nname = \"a\"\nsource = \"git+https://example.org/a#1\"\n";
-    assert_eq!(xtask::arrows::git_sources(lock), ["a: git+https://example.org/a#1"]);
+    assert_eq!(
+        xtask::arrows::git_sources(lock),
+        ["a: git+https://example.org/a#1"]
+    );
 }
 
 #[test]
 fn the_table_is_read() {
-    let want = arrows_of(&[("m4_core", &[]), ("m4_kernels", &["m4_core"]), ("m4_io", &["m4_core", "m4_kernels"])]);
+    let want = arrows_of(&[
+        ("m4_core", &[]),
+        ("m4_kernels", &["m4_core"]),
+        ("m4_io", &["m4_core", "m4_kernels"]),
+    ]);
     assert_eq!(allowed(CRATES), want);
 }
 
 #[test]
 fn an_arrow_that_points_back_is_found() {
     let may = allowed(CRATES);
-    let mut actual = Actual { normal: may.clone(), dev: arrows_of(&[("m4_io", &["m4_testkit"])]) };
-    assert_eq!(violations(&actual, &may), Vec::<String>::new(), "testkit is for the tests of every crate");
+    let mut actual = Actual {
+        normal: may.clone(),
+        dev: arrows_of(&[("m4_io", &["m4_testkit"])]),
+    };
+    assert_eq!(
+        violations(&actual, &may),
+        Vec::<String>::new(),
+        "testkit is for the tests of every crate"
+    );
 
-    actual.normal.insert("m4_kernels".to_owned(), set(&["m4_core", "m4_io"]));
-    actual.dev.insert("m4_core".to_owned(), set(&["m4_kernels"]));
+    actual
+        .normal
+        .insert("m4_kernels".to_owned(), set(&["m4_core", "m4_io"]));
+    actual
+        .dev
+        .insert("m4_core".to_owned(), set(&["m4_kernels"]));
     let found = violations(&actual, &may);
     assert_eq!(found.len(), 2, "{found:?}");
-    assert!(found[0].contains("m4_kernels has a dependency on m4_io"), "{found:?}");
-    assert!(found[1].contains("m4_core has a dev-dependency on m4_kernels"), "{found:?}");
+    assert!(
+        found[0].contains("m4_kernels has a dependency on m4_io"),
+        "{found:?}"
+    );
+    assert!(
+        found[1].contains("m4_core has a dev-dependency on m4_kernels"),
+        "{found:?}"
+    );
 }
 
 #[test]
 fn only_tests_of_measuring_crates_may_read_data() {
     let may = arrows_of(&[("m4_train", &[]), ("m4_core", &[])]);
     let with = |normal: &[&str], dev: &[&str], from: &str| {
-        let mut actual = Actual { normal: may.clone(), dev: Arrows::new() };
+        let mut actual = Actual {
+            normal: may.clone(),
+            dev: Arrows::new(),
+        };
         actual.normal.insert(from.to_owned(), set(normal));
         actual.dev.insert(from.to_owned(), set(dev));
         violations(&actual, &may).len()
@@ -131,10 +171,22 @@ fn a_crate_without_a_row_and_a_row_without_a_crate_are_found() {
     let mut normal = may.clone();
     normal.remove("m4_io");
     normal.insert("m4_new".to_owned(), set(&[]));
-    let found = violations(&Actual { normal, dev: Arrows::new() }, &may);
+    let found = violations(
+        &Actual {
+            normal,
+            dev: Arrows::new(),
+        },
+        &may,
+    );
     assert_eq!(found.len(), 2, "{found:?}");
-    assert!(found.iter().any(|f| f.starts_with("m4_new has no row")), "{found:?}");
-    assert!(found.iter().any(|f| f.contains("row for m4_io")), "{found:?}");
+    assert!(
+        found.iter().any(|f| f.starts_with("m4_new has no row")),
+        "{found:?}"
+    );
+    assert!(
+        found.iter().any(|f| f.contains("row for m4_io")),
+        "{found:?}"
+    );
 }
 
 const EQUATIONS: &str = "
@@ -151,14 +203,25 @@ Text with a [link](docs/spec/optimiser.md).
 ";
 
 fn row(item: &str, caption: &str, files: &[&str]) -> Row {
-    Row { item: item.to_owned(), caption: caption.to_owned(), files: files.iter().map(|&n| n.to_owned()).collect() }
+    Row {
+        item: item.to_owned(),
+        caption: caption.to_owned(),
+        files: files.iter().map(|&n| n.to_owned()).collect(),
+    }
 }
 
 /// A table with every row, each of a file of its own that carries its marker.
 fn complete() -> (Vec<Row>, Sources) {
     let file = |item: &str| format!("crates/a/src/{}.rs", item.replace([' ', '.'], "_"));
-    let rows = ITEMS.map(|(item, caption)| row(item, caption, &[&file(item)])).to_vec();
-    let sources = ITEMS.map(|(item, _)| (file(item), format!("/// A sum (Minute4D {item}).\nfn f() {{}}\n")));
+    let rows = ITEMS
+        .map(|(item, caption)| row(item, caption, &[&file(item)]))
+        .to_vec();
+    let sources = ITEMS.map(|(item, _)| {
+        (
+            file(item),
+            format!("/// A sum (Minute4D {item}).\nfn f() {{}}\n"),
+        )
+    });
     (rows, BTreeMap::from(sources))
 }
 
@@ -168,17 +231,18 @@ fn table_and_citations_of_this_workspace_are_true() {
 }
 
 #[test]
-fn no_file_has_more_than_400_lines() {
-    let sources = paper::sources(&xtask::root()).unwrap();
-    let long: Vec<&String> =
-        sources.iter().filter(|(_, text)| text.lines().count() > 400).map(|(file, _)| file).collect();
-    assert!(long.is_empty(), "split these (CODE_STYLE.md): {long:?}");
+fn prose_is_narrow_and_files_are_short() {
+    xtask::text::check(&xtask::root()).unwrap();
 }
 
 #[test]
 fn rows_and_markers_are_read() {
     let want = [
-        row("Eq. 1", "Gaussian", &["crates/a/src/one.rs", "crates/b/src/one.rs"]),
+        row(
+            "Eq. 1",
+            "Gaussian",
+            &["crates/a/src/one.rs", "crates/b/src/one.rs"],
+        ),
         row("Eq. 10", "prune score", &["crates/a/src/ten.rs"]),
     ];
     assert_eq!(rows(EQUATIONS), want);
@@ -206,7 +270,11 @@ fn each_kind_of_mistake_in_the_table_is_found() {
     // what others call an equation is not what the paper has under the number
     let mut renamed = rows.clone();
     renamed[2].caption = "compositing".to_owned();
-    one(&renamed, &sources, "the row for Eq. 3 has the caption `compositing` in place of `front end`");
+    one(
+        &renamed,
+        &sources,
+        "the row for Eq. 3 has the caption `compositing` in place of `front end`",
+    );
 
     let mut missing = sources.clone();
     missing.remove(&rows[0].files[0]);
@@ -223,12 +291,25 @@ fn each_kind_of_mistake_in_the_table_is_found() {
     other.insert(rows[0].files[0].clone(), "Minute4D Eq. 10".to_owned());
     let found = paper::violations(&rows, &other);
     assert_eq!(found.len(), 2, "{found:?}");
-    assert!(found[0].contains("lacks the marker `Minute4D Eq. 1`"), "{found:?}");
-    assert!(found[1].contains("no row for it names the file"), "{found:?}");
+    assert!(
+        found[0].contains("lacks the marker `Minute4D Eq. 1`"),
+        "{found:?}"
+    );
+    assert!(
+        found[1].contains("no row for it names the file"),
+        "{found:?}"
+    );
 
     let mut extra = sources;
-    extra.insert("crates/b/src/new.rs".to_owned(), "Minute4D sec. 3.1".to_owned());
-    one(&rows, &extra, "crates/b/src/new.rs has the marker `Minute4D sec. 3.1`");
+    extra.insert(
+        "crates/b/src/new.rs".to_owned(),
+        "Minute4D sec. 3.1".to_owned(),
+    );
+    one(
+        &rows,
+        &extra,
+        "crates/b/src/new.rs has the marker `Minute4D sec. 3.1`",
+    );
 
     // a row that is missing leaves its marker without one
     let found = paper::violations(&rows[1..], &complete().1);
@@ -245,7 +326,12 @@ fn citations_of_missing_sections_are_found() {
     let source = |text: &str| Sources::from([("crates/a/src/lib.rs".to_owned(), text.to_owned())]);
     let good = source("(docs/spec/a.md 4.4) and docs/spec/a.md 3; docs/spec/a.md\n3, too");
     assert_eq!(dangling(&good, &specifications), Vec::<String>::new());
-    for bad in ["docs/spec/a.md 4.5", "docs/spec/a.md", "docs/spec/b.md 3", "docs/spec/a 3"] {
+    for bad in [
+        "docs/spec/a.md 4.5",
+        "docs/spec/a.md",
+        "docs/spec/b.md 3",
+        "docs/spec/a 3",
+    ] {
         let found = dangling(&source(bad), &specifications);
         assert_eq!(found.len(), 1, "{bad}: {found:?}");
     }

@@ -1,4 +1,5 @@
-//! Cycles among the modules of a crate: of this workspace none but those that are known, and a small crate that has one.
+//! Cycles among the modules of a crate: of this workspace none but those that are known, and a
+//! small crate that has one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use xtask::modules::{Modules, check, cycles, modules, violations};
@@ -12,7 +13,9 @@ fn no_crate_of_this_workspace_has_a_new_cycle() {
 fn arrows(pairs: &[(&str, &str)]) -> Modules {
     let mut out = Modules::new();
     for &(from, to) in pairs {
-        out.entry(from.to_owned()).or_default().insert(to.to_owned(), format!("{to} in {from}.rs"));
+        out.entry(from.to_owned())
+            .or_default()
+            .insert(to.to_owned(), format!("{to} in {from}.rs"));
         out.entry(to.to_owned()).or_default();
     }
     out
@@ -20,9 +23,18 @@ fn arrows(pairs: &[(&str, &str)]) -> Modules {
 
 #[test]
 fn circles_are_found_and_lines_are_not() {
-    let set = |names: &[&'static str]| -> BTreeSet<&'static str> { names.iter().copied().collect() };
+    let set =
+        |names: &[&'static str]| -> BTreeSet<&'static str> { names.iter().copied().collect() };
     assert!(cycles(&arrows(&[("a", "b"), ("b", "c"), ("a", "c"), ("d", "a")])).is_empty());
-    let two = arrows(&[("a", "b"), ("b", "a"), ("b", "c"), ("c", "d"), ("d", "e"), ("e", "c"), ("f", "c")]);
+    let two = arrows(&[
+        ("a", "b"),
+        ("b", "a"),
+        ("b", "c"),
+        ("c", "d"),
+        ("d", "e"),
+        ("e", "c"),
+        ("f", "c"),
+    ]);
     assert_eq!(cycles(&two), [set(&["a", "b"]), set(&["c", "d", "e"])]);
     // two circles that share a module are one knot
     let knot = arrows(&[("a", "b"), ("b", "a"), ("b", "c"), ("c", "b")]);
@@ -30,17 +42,23 @@ fn circles_are_found_and_lines_are_not() {
     let said = violations("m4_x", &two);
     assert_eq!(said.len(), 2);
     assert_eq!(
-        said[0], "modules of m4_x use each other in a circle: a, b\n  a -> b: b in a.rs\n  b -> a: a in b.rs",
+        said[0],
+        "modules of m4_x use each other in a circle: a, b\n  a -> b: b in a.rs\n  b -> a: a in b.rs",
         "the arrow to c is part of no circle"
     );
 }
 
 /// The top modules of a crate of these files, and which each uses.
 fn read(files: &[(&str, &str)]) -> anyhow::Result<BTreeMap<String, Vec<String>>> {
-    let sources: Sources =
-        files.iter().map(|&(name, text)| (format!("crates/x/src/{name}"), text.to_owned())).collect();
+    let sources: Sources = files
+        .iter()
+        .map(|&(name, text)| (format!("crates/x/src/{name}"), text.to_owned()))
+        .collect();
     let found = modules("crates/x/src/", &sources)?;
-    Ok(found.into_iter().map(|(from, to)| (from, to.into_keys().collect())).collect())
+    Ok(found
+        .into_iter()
+        .map(|(from, to)| (from, to.into_keys().collect()))
+        .collect())
 }
 
 const ROOT: &str = "
@@ -60,7 +78,10 @@ fn paths_of_all_kinds_are_arrows() {
     let with = |text: &str| {
         let files = [
             ("lib.rs", ROOT),
-            ("low.rs", "pub struct Thing; pub mod deep { pub struct Other; }"),
+            (
+                "low.rs",
+                "pub struct Thing; pub mod deep { pub struct Other; }",
+            ),
             (
                 "middle/mod.rs",
                 "mod inner; #[macro_export] macro_rules! twice { () => { 2 } } pub fn size() -> usize { 1 }",
@@ -75,16 +96,31 @@ fn paths_of_all_kinds_are_arrows() {
         ("use super::middle;", vec!["middle"]),
         ("mod own { use super::super::low::deep; }", vec!["low"]),
         ("mod own { use super::Local; } pub struct Local;", vec![]),
-        ("use crate::{Thing, middle::{self, size}};", vec!["low", "middle"]),
+        (
+            "use crate::{Thing, middle::{self, size}};",
+            vec!["low", "middle"],
+        ),
         ("use crate::Renamed;", vec!["low"]),
         ("use crate::Path;", vec![]),
         ("use crate::twice;", vec!["middle"]),
-        ("fn f(a: &crate::low::Thing) -> usize { crate::middle::size() }", vec!["low", "middle"]),
+        (
+            "fn f(a: &crate::low::Thing) -> usize { crate::middle::size() }",
+            vec!["low", "middle"],
+        ),
         ("fn f() -> usize { crate::of_the_root() }", vec!["lib.rs"]),
-        ("fn f() { println!(\"{}\", crate::middle::size()); }", vec!["middle"]),
-        ("macro_rules! m { () => { $crate::low::Thing } }", vec!["low"]),
+        (
+            "fn f() { println!(\"{}\", crate::middle::size()); }",
+            vec!["middle"],
+        ),
+        (
+            "macro_rules! m { () => { $crate::low::Thing } }",
+            vec!["low"],
+        ),
         ("#[serde(with = \"crate::low\")] struct A;", vec!["low"]),
-        ("use crate::high::own; use self::own as other; mod own {}", vec![]),
+        (
+            "use crate::high::own; use self::own as other; mod own {}",
+            vec![],
+        ),
         ("fn f() -> impl Fn() + use<> { || () }", vec![]),
     ] {
         assert_eq!(with(text), want, "{text}");
@@ -111,8 +147,10 @@ fn a_small_crate_with_a_cycle_is_refused() {
         ("b/inner.rs", "use super::super::c::C; pub struct D(C);"),
         ("c.rs", "pub struct C; impl C { fn of(a: &crate::a::A) {} }"),
     ];
-    let sources: Sources =
-        cyclic.iter().map(|&(name, text)| (format!("crates/x/src/{name}"), text.to_owned())).collect();
+    let sources: Sources = cyclic
+        .iter()
+        .map(|&(name, text)| (format!("crates/x/src/{name}"), text.to_owned()))
+        .collect();
     let found = violations("x", &modules("crates/x/src/", &sources).unwrap());
     let want = "modules of x use each other in a circle: a, b, c\n  a -> b: B in crates/x/src/a.rs\n  \
                 b -> c: c::C in crates/x/src/b/inner.rs\n  c -> a: a::A in crates/x/src/c.rs";
@@ -122,7 +160,13 @@ fn a_small_crate_with_a_cycle_is_refused() {
 #[test]
 fn the_code_of_the_root_has_a_place_of_its_own() {
     let files = |high: &'static str| {
-        [("main.rs", "mod high; use high::H; fn main() { let a = H; } fn help() {}"), ("high.rs", high)]
+        [
+            (
+                "main.rs",
+                "mod high; use high::H; fn main() { let a = H; } fn help() {}",
+            ),
+            ("high.rs", high),
+        ]
     };
     let found = read(&files("pub struct H;")).unwrap();
     assert_eq!(found["main.rs"], ["high"]);

@@ -47,7 +47,10 @@ mod tests {
         assert_eq!(phrases, advice::ALL.into_iter().collect());
         let command = Cli::command();
         let all = |command: &clap::Command| {
-            command.get_arguments().filter_map(|arg| arg.get_long().map(str::to_owned)).collect::<Vec<_>>()
+            command
+                .get_arguments()
+                .filter_map(|arg| arg.get_long().map(str::to_owned))
+                .collect::<Vec<_>>()
         };
         let mut options: BTreeSet<String> = command.get_subcommands().flat_map(all).collect();
         for inner in command.get_subcommands() {
@@ -55,14 +58,20 @@ mod tests {
         }
         for (_, option) in OPTIONS {
             let name = option.trim_start_matches("--").split(' ').next().unwrap();
-            assert!(options.contains(name) || !cfg!(feature = "nets") && name == "accept-license", "{option}");
+            assert!(
+                options.contains(name) || !cfg!(feature = "nets") && name == "accept-license",
+                "{option}"
+            );
         }
     }
 
     #[test]
     fn options_stand_behind_the_advice() {
         let message = format!("out exists; {}, or {}", advice::RESUME, advice::REPLACE);
-        assert_eq!(with_options(&message), "out exists; continue it (--resume), or replace it (--force)");
+        assert_eq!(
+            with_options(&message),
+            "out exists; continue it (--resume), or replace it (--force)"
+        );
         assert_eq!(with_options("out exists"), "out exists");
     }
 }

@@ -1,5 +1,5 @@
-//! Failures of a command: an exit code and one line of text. A panic is a bug: it ends the program with exit code 1 and a report
-//! that a user can send.
+//! Failures of a command: an exit code and one line of text. A panic is a bug: it ends the program
+//! with exit code 1 and a report that a user can send.
 
 use crate::advice::with_options;
 #[cfg(feature = "nets")]
@@ -20,19 +20,28 @@ pub struct Failure {
 impl Failure {
     /// Returns the failure for arguments that contradict each other.
     pub fn usage(reason: &str) -> Self {
-        Self { code: 2, reason: reason.to_owned() }
+        Self {
+            code: 2,
+            reason: reason.to_owned(),
+        }
     }
 }
 
 impl From<minute4d::Error> for Failure {
     fn from(error: minute4d::Error) -> Self {
-        Self { code: error.category().exit_code(), reason: chain(&error) }
+        Self {
+            code: error.category().exit_code(),
+            reason: chain(&error),
+        }
     }
 }
 
 impl From<minute4d_eval::Error> for Failure {
     fn from(error: minute4d_eval::Error) -> Self {
-        Self { code: error.category().exit_code(), reason: chain(&error) }
+        Self {
+            code: error.category().exit_code(),
+            reason: chain(&error),
+        }
     }
 }
 
@@ -42,8 +51,8 @@ impl From<minute4d::settings::SettingsError> for Failure {
     }
 }
 
-/// Joins an error and its causes in one line, without causes that the text already quotes, and adds the options and the command that
-/// help.
+/// Joins an error and its causes in one line, without causes that the text already quotes, and adds
+/// the options and the command that help.
 pub fn chain(error: &(dyn Error + 'static)) -> String {
     let mut text = error.to_string();
     #[cfg(feature = "nets")]
@@ -81,7 +90,11 @@ fn command_for(error: &(dyn Error + 'static)) -> Option<String> {
 /// The command that gets weights; `FILE` is what the user brings.
 #[cfg(feature = "nets")]
 pub(crate) fn command(entry: &Entry) -> String {
-    let agree = if entry.commercial { "" } else { " --accept-license" };
+    let agree = if entry.commercial {
+        ""
+    } else {
+        " --accept-license"
+    };
     match entry.origin {
         Origin::Pip(_) => format!("minute4d weights fetch {}{agree}", entry.name),
         _ => format!("minute4d weights add {} FILE{agree}", entry.name),
@@ -94,7 +107,9 @@ static LAST: Mutex<Option<String>> = Mutex::new(None);
 pub fn report_instead_of_abort() {
     std::panic::set_hook(Box::new(|info| {
         let message = info.payload_as_str().unwrap_or("no message");
-        let place = info.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
+        let place = info
+            .location()
+            .map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
         let report = format!(
             "internal error: {message} (at {place}, minute4d {}); this is a bug in minute4d, please report it with the \
              command line and run.json",
@@ -113,7 +128,8 @@ pub fn report_instead_of_abort() {
 /// Returns the report of the first panic.
 pub fn last_report() -> String {
     let last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
-    last.clone().unwrap_or_else(|| "internal error without a report".to_owned())
+    last.clone()
+        .unwrap_or_else(|| "internal error without a report".to_owned())
 }
 
 #[cfg(test)]
@@ -128,7 +144,10 @@ mod tests {
         });
         assert!(caught.is_err());
         let report = super::last_report();
-        assert!(report.contains("the promise is broken") && report.contains("failure.rs"), "{report}");
+        assert!(
+            report.contains("the promise is broken") && report.contains("failure.rs"),
+            "{report}"
+        );
         assert!(report.contains("please report"), "{report}");
     }
 }

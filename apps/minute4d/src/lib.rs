@@ -1,6 +1,8 @@
-//! The `minute4d` program: commands, messages, exit codes; and runs, which keep what the library computes in a folder.
+//! The `minute4d` program: commands, messages, exit codes; and runs, which keep what the library
+//! computes in a folder.
 //!
-//! [`run`](mod@run) has the stages on disk with their records, checkpoints and order; `minute4d-lab` builds on it.
+//! [`run`](mod@run) has the stages on disk with their records, checkpoints and order;
+//! `minute4d-lab` builds on it.
 
 mod advice;
 pub mod batch;

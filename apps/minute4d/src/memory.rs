@@ -13,9 +13,9 @@ pub struct FreedMemory(Mutex<Option<Instant>>);
 impl FreedMemory {
     /// Gives back what was freed, at most once a [`PERIOD`].
     ///
-    /// The planes of a clip, a few hundred kilobytes each, lie in the heaps of threads, and the GNU allocator keeps the
-    /// gaps that they leave: of 96 frames of 480x360 about a fifth of the peak (docs/geometry.md, Memory). With other allocators
-    /// this does nothing.
+    /// The planes of a clip, a few hundred kilobytes each, lie in the heaps of threads, and the GNU
+    /// allocator keeps the gaps that they leave: of 96 frames of 480x360 about a fifth of the peak
+    /// (docs/geometry.md, Memory). With other allocators this does nothing.
     pub fn give_back(&self) {
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if last.is_none_or(|last| last.elapsed() >= PERIOD) {
@@ -44,7 +44,9 @@ mod tests {
     /// Memory of this process that is in use, by the system's count, bytes.
     fn resident() -> Option<usize> {
         let status = std::fs::read_to_string("/proc/self/status").ok()?;
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix("VmRSS:"))?;
         Some(1024 * line.trim().trim_end_matches(" kB").parse::<usize>().ok()?)
     }
 
@@ -58,6 +60,9 @@ mod tests {
         FreedMemory::default().give_back();
         let after = resident().unwrap();
         assert!(before > after + COUNT * BLOCK / 2, "{before} {after}");
-        assert_eq!(kept.iter().map(|block| block.len()).sum::<usize>(), COUNT / 20 * BLOCK);
+        assert_eq!(
+            kept.iter().map(|block| block.len()).sum::<usize>(),
+            COUNT / 20 * BLOCK
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! What all programs of this project do: arguments, signals, panics, exit codes, decoding in a process of its own.
+//! What all programs of this project do: arguments, signals, panics, exit codes, decoding in a
+//! process of its own.
 
 use crate::failure::{self, Failure};
 use crate::options::Common;
@@ -26,7 +27,8 @@ pub trait Program: Parser + Sync {
     fn run(&self, output: &Output) -> Result<(), Failure>;
 }
 
-/// Parses the arguments of this process, the name of the program first, and runs their command; returns its exit code.
+/// Parses the arguments of this process, the name of the program first, and runs their command;
+/// returns its exit code.
 #[must_use]
 pub fn start<P: Program>(args: Vec<OsString>) -> ExitCode {
     if let Some(code) = serve_as_decoder(&args) {
@@ -47,8 +49,8 @@ pub fn start<P: Program>(args: Vec<OsString>) -> ExitCode {
     }
     let threads = common.threads.map(usize::from);
     let command = || run::with_threads(threads, || program.run(&output))?;
-    let outcome =
-        catch_unwind(AssertUnwindSafe(command)).map(|ended| ended.map_err(|failure| stopped(failure, &output)));
+    let outcome = catch_unwind(AssertUnwindSafe(command))
+        .map(|ended| ended.map_err(|failure| stopped(failure, &output)));
     let (code, reason) = match outcome {
         Ok(Ok(())) => (0, "done".to_owned()),
         Ok(Err(Failure { code, reason })) => (code, reason),
@@ -71,13 +73,20 @@ fn stopped(failure: Failure, output: &Output) -> Failure {
 ///
 /// [`Failure`] where the system does not know it.
 pub fn program() -> Result<PathBuf, Failure> {
-    std::env::current_exe()
-        .map_err(|e| minute4d::Error::Internal { what: format!("the path of this program is unknown: {e}") }.into())
+    std::env::current_exe().map_err(|e| {
+        minute4d::Error::Internal {
+            what: format!("the path of this program is unknown: {e}"),
+        }
+        .into()
+    })
 }
 
 /// Returns the error without the usage that follows it.
 fn first_paragraph(text: &str) -> String {
-    let words = text.lines().take_while(|line| !line.trim().is_empty()).flat_map(str::split_whitespace);
+    let words = text
+        .lines()
+        .take_while(|line| !line.trim().is_empty())
+        .flat_map(str::split_whitespace);
     let joined = words.collect::<Vec<_>>().join(" ");
     joined.strip_prefix("error: ").unwrap_or(&joined).to_owned()
 }
@@ -92,7 +101,10 @@ fn refuse(error: &clap::Error, args: &[OsString]) -> ExitCode {
         });
     }
     output::to_stderr(error.to_string().trim_end());
-    let json = args.iter().take_while(|arg| *arg != "--").any(|arg| arg == "--json");
+    let json = args
+        .iter()
+        .take_while(|arg| *arg != "--")
+        .any(|arg| arg == "--json");
     if json {
         output::end_of_json(2, &first_paragraph(&error.to_string()));
     }
@@ -107,7 +119,11 @@ fn serve_as_decoder(args: &[OsString]) -> Option<ExitCode> {
     if args.get(1).is_none_or(|arg| arg != ARGUMENT) {
         return None;
     }
-    let served = serve_decoder(&args[2..], std::io::stdin().lock(), std::io::stdout().lock());
+    let served = serve_decoder(
+        &args[2..],
+        std::io::stdin().lock(),
+        std::io::stdout().lock(),
+    );
     Some(match served {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -119,7 +135,8 @@ fn serve_as_decoder(args: &[OsString]) -> Option<ExitCode> {
 
 /// Registers this program as the one to start for decoding.
 fn register_decoder(args: &[OsString]) {
-    // On Linux this is the file of the running program, even if another version was installed over it since.
+    // On Linux this is the file of the running program, even if another version was installed over
+    // it since.
     let running = Path::new("/proc/self/exe");
     let program = if cfg!(target_os = "linux") && running.exists() {
         running.to_path_buf()

@@ -22,16 +22,35 @@ fn damaged_videos_are_rejected() {
     write_video(&dir.path("good.mp4"), 8);
     let bytes = dir.read("good.mp4");
     dir.write("half.mp4", &bytes[..bytes.len() / 2]);
-    bad_video(&dir, "missing.mp4", 66, &["missing.mp4", "there is no video"]);
+    bad_video(
+        &dir,
+        "missing.mp4",
+        66,
+        &["missing.mp4", "there is no video"],
+    );
     bad_video(&dir, "empty", 65, &["empty", "no image"]);
     bad_video(&dir, "zeros.mp4", 65, &["zeros.mp4", "not a video"]);
     bad_video(&dir, "half.mp4 --strict-video", 65, &["half.mp4"]);
-    bad_video(&dir, "good.mp4 --start 100", 65, &["good.mp4", "no frame in"]);
+    bad_video(
+        &dir,
+        "good.mp4 --start 100",
+        65,
+        &["good.mp4", "no frame in"],
+    );
     bad_video(&dir, "good.mp4 --start 2 --end 1", 78, &["end"]);
     for i in 0..4 {
-        write_rgb(&dir.path(&format!("flat/{i}.png")), &Plane::filled(96, 96, [80; 3])).unwrap();
+        write_rgb(
+            &dir.path(&format!("flat/{i}.png")),
+            &Plane::filled(96, 96, [80; 3]),
+        )
+        .unwrap();
     }
-    bad_video(&dir, "flat", 65, &["points could be tracked", "--static-camera"]);
+    bad_video(
+        &dir,
+        "flat",
+        65,
+        &["points could be tracked", "--static-camera"],
+    );
 }
 
 #[test]
@@ -41,7 +60,10 @@ fn unknown_and_invalid_settings_are_rejected() {
     for (given, words) in [
         ("train.iteratons=5", &["train.iteratons", meant][..]),
         ("iterations=5", &[meant]),
-        ("train.iterations=many", &["train.iterations", "\"many\"", "usize"]),
+        (
+            "train.iterations=many",
+            &["train.iterations", "\"many\"", "usize"],
+        ),
         ("train.iterations=-4", &["train.iterations", "-4"]),
         ("train.density=3", &["train.density = 3"]),
         ("train.iterations", &["key=value"]),
@@ -49,34 +71,70 @@ fn unknown_and_invalid_settings_are_rejected() {
         ("train..seed=5", &["key=value"]),
         ("profile=best", &["profile", "best", "faithful"]),
         ("init.opacity=0.5", &["init.opacity", "max_static"]),
-        ("train.iterations=5000000000", &["train.iterations = 5000000000", "1 to 10000000"]),
+        (
+            "train.iterations=5000000000",
+            &["train.iterations = 5000000000", "1 to 10000000"],
+        ),
         ("train.batch=100000", &["train.batch = 100000", "1 to 32"]),
         ("limit.time_s=nan", &["limit.time_s = NaN"]),
     ] {
         dir.refused(&format!("train --print-config --set {given}"), 78, words);
     }
     for (file, toml, words) in [
-        ("syntax.toml", "[train\niterations = 5", &["not valid TOML", "line 1"][..]),
-        ("key.toml", "[train]\nloss = { lambda = 0.3 }", &["train.loss.lambda", "lambda_ssim"]),
-        ("type.toml", "[train.refine]\nposes = 3", &["train.refine.poses = 3", "boolean"]),
+        (
+            "syntax.toml",
+            "[train\niterations = 5",
+            &["not valid TOML", "line 1"][..],
+        ),
+        (
+            "key.toml",
+            "[train]\nloss = { lambda = 0.3 }",
+            &["train.loss.lambda", "lambda_ssim"],
+        ),
+        (
+            "type.toml",
+            "[train.refine]\nposes = 3",
+            &["train.refine.poses = 3", "boolean"],
+        ),
     ] {
         dir.write(file, toml);
         let words = [&[file][..], words].concat();
         dir.refused(&format!("train --print-config --config {file}"), 78, &words);
     }
-    dir.refused("train --print-config --config missing.toml", 66, &["missing.toml"]);
+    dir.refused(
+        "train --print-config --config missing.toml",
+        66,
+        &["missing.toml"],
+    );
 
     write_capture(&dir.path("capture"), false);
     for (given, words) in [
-        ("train.loss.lambda_ssim=3", ["train.loss.lambda_ssim = 3", "0 to 1"]),
-        ("init.keyframe_gaps=0", ["init.keyframe_gaps = 0", "0.001 to"]),
-        ("train.density.every=2", ["train.density.every = 2", "0 to 1"]),
+        (
+            "train.loss.lambda_ssim=3",
+            ["train.loss.lambda_ssim = 3", "0 to 1"],
+        ),
+        (
+            "init.keyframe_gaps=0",
+            ["init.keyframe_gaps = 0", "0.001 to"],
+        ),
+        (
+            "train.density.every=2",
+            ["train.density.every = 2", "0 to 1"],
+        ),
     ] {
         dir.refused(&format!("train capture -o never --set {given}"), 78, &words);
     }
-    assert!(!dir.path("never").exists(), "nothing is made before the settings are checked");
+    assert!(
+        !dir.path("never").exists(),
+        "nothing is made before the settings are checked"
+    );
     let level = [("MINUTE4D_SIMD", "quantum")];
-    dir.refused_with("train capture -o never", &level, 69, &["quantum", "choose one of"]);
+    dir.refused_with(
+        "train capture -o never",
+        &level,
+        69,
+        &["quantum", "choose one of"],
+    );
 }
 
 #[test]
@@ -108,7 +166,10 @@ fn impossible_outputs_are_rejected() {
         ("file/out", &["file", "cannot write"]),
         ("foreign", &["foreign", "not made by minute4d", "--force"]),
         ("foreign --resume", &["foreign", "not made by minute4d"]),
-        (finished.as_str(), &["a finished run", "--resume", "--force"]),
+        (
+            finished.as_str(),
+            &["a finished run", "--resume", "--force"],
+        ),
     ] {
         dir.refused(&format!("train capture --iterations 5 -o {out}"), 73, words);
     }
@@ -124,12 +185,21 @@ fn inconsistent_captures_are_rejected() {
     let spoil = |code: i32, words: &[&str], edit: &dyn Fn(&mut Value, &Path)| {
         let dir = Scratch::new();
         write_capture(&dir.path("capture"), false);
-        edit_transforms(&dir.path("capture"), |list| edit(list, &dir.path("capture")));
+        edit_transforms(&dir.path("capture"), |list| {
+            edit(list, &dir.path("capture"))
+        });
         dir.refused("train capture -o never --iterations 5", code, words);
-        assert!(!dir.path("never/scene.safetensors").exists(), "nothing is made of a bad capture");
+        assert!(
+            !dir.path("never/scene.safetensors").exists(),
+            "nothing is made of a bad capture"
+        );
     };
-    spoil(66, &["frame 3", "gone.png"], &|list, _| list["frames"][3]["file_path"] = json!("train/gone.png"));
-    spoil(65, &["frame 4", "w = 600", "has 64"], &|list, _| list["frames"][4]["w"] = json!(600));
+    spoil(66, &["frame 3", "gone.png"], &|list, _| {
+        list["frames"][3]["file_path"] = json!("train/gone.png")
+    });
+    spoil(65, &["frame 4", "w = 600", "has 64"], &|list, _| {
+        list["frames"][4]["w"] = json!(600)
+    });
     spoil(65, &["depth", "geometry"], &|list, _| {
         for frame in list["frames"].as_array_mut().unwrap() {
             frame.as_object_mut().unwrap().remove("depth_file_path");

@@ -40,25 +40,45 @@ fn status(dir: &Scratch, more: &str) -> Value {
 
 fn clip<'a>(report: &'a Value, id: &str) -> &'a Value {
     let clips = report["clips"].as_array().unwrap();
-    clips.iter().find(|c| c["id"] == id).unwrap_or_else(|| panic!("no {id} in {report}"))
+    clips
+        .iter()
+        .find(|c| c["id"] == id)
+        .unwrap_or_else(|| panic!("no {id} in {report}"))
 }
 
 fn start(mut command: Command) -> Running {
-    Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+    Running(
+        command
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap(),
+    )
 }
 
 /// Names of the checkpoints of a clip at work.
 fn checkpoints(work: &Path) -> Vec<std::ffi::OsString> {
     let entries = fs::read_dir(work.join("checkpoints")).into_iter().flatten();
-    entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect()
+    entries
+        .filter_map(|entry| Some(entry.ok()?.file_name()))
+        .collect()
 }
 
-/// Starts a job and waits until its run has written this many new checkpoints, so that it is running by then.
+/// Starts a job and waits until its run has written this many new checkpoints, so that it is
+/// running by then.
 fn start_until_saved(command: Command, work: &Path, n: usize) -> Running {
     let before = checkpoints(work);
     let mut running = start(command);
-    while checkpoints(work).iter().filter(|name| !before.contains(name)).count() < n {
-        assert!(running.0.try_wait().unwrap().is_none(), "the job ended before it could be stopped");
+    while checkpoints(work)
+        .iter()
+        .filter(|name| !before.contains(name))
+        .count()
+        < n
+    {
+        assert!(
+            running.0.try_wait().unwrap().is_none(),
+            "the job ended before it could be stopped"
+        );
         sleep(Duration::from_millis(2));
     }
     running
@@ -88,7 +108,12 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     by_scheduler.env("SLURM_ARRAY_TASK_ID", "1");
     assert_eq!(ended(by_scheduler).code, 0);
     let good = ended(job(&dir, "--index 2"));
-    assert_eq!((good.code, &good.result()["outcome"]), (0, &"done".into()), "{}", good.stderr);
+    assert_eq!(
+        (good.code, &good.result()["outcome"]),
+        (0, &"done".into()),
+        "{}",
+        good.stderr
+    );
 
     let report = status(&dir, "--html sheet.html");
     dir.write("mine.html", "mine");
@@ -107,30 +132,67 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     let frames = capture(6, false).frames;
     let trivial = mean_image_psnr_db(&frames, frames.iter().map(|f| f.rgb.clone()), usize::MAX);
     let psnr = good["psnr_db"].as_f64().unwrap();
-    assert!(psnr > trivial + 3.0, "{psnr} dB, the mean image {trivial} dB: {good}");
+    assert!(
+        psnr > trivial + 3.0,
+        "{psnr} dB, the mean image {trivial} dB: {good}"
+    );
     assert!(good["splats"].as_u64().unwrap() > 0, "{good}");
-    assert!(good["seconds"].as_f64().unwrap() > 0.0 && good["host"].is_string(), "{good}");
+    assert!(
+        good["seconds"].as_f64().unwrap() > 0.0 && good["host"].is_string(),
+        "{good}"
+    );
     let bad = clip(&report, "bad");
-    assert!(bad["code"] == 65 && bad["reason"].as_str().unwrap().contains("bad.mp4"), "{bad}");
+    assert!(
+        bad["code"] == 65 && bad["reason"].as_str().unwrap().contains("bad.mp4"),
+        "{bad}"
+    );
     let page = fs::read_to_string(dir.path("sheet.html")).unwrap();
     assert_eq!(page.matches("data:image/jpeg;base64,").count(), 2);
     assert!(page.contains("bad.mp4") && !page.contains("http"));
-    for file in ["run.json", "scene.safetensors", "preview.mp4", "poster.jpg", "batch.json"] {
+    for file in [
+        "run.json",
+        "scene.safetensors",
+        "preview.mp4",
+        "poster.jpg",
+        "batch.json",
+    ] {
         assert!(dir.path("results/clip2").join(file).is_file(), "{file}");
     }
-    assert!(!dir.path("results/bad").exists(), "nothing is published of it");
+    assert!(
+        !dir.path("results/bad").exists(),
+        "nothing is published of it"
+    );
 
     // What has ended is not run again.
-    let made =
-        |id: &str| fs::metadata(dir.path("results").join(id).join("scene.safetensors")).unwrap().modified().unwrap();
-    let log_length = || fs::read_to_string(dir.path("results/.log/bad.txt")).unwrap().len();
+    let made = |id: &str| {
+        fs::metadata(dir.path("results").join(id).join("scene.safetensors"))
+            .unwrap()
+            .modified()
+            .unwrap()
+    };
+    let log_length = || {
+        fs::read_to_string(dir.path("results/.log/bad.txt"))
+            .unwrap()
+            .len()
+    };
     let (before, log) = ((made("clip1"), made("clip2")), log_length());
     assert_eq!([0, 1, 2, 3].map(|index| code(&dir, index)), [65, 0, 0, 66]);
-    assert_eq!((before, log), ((made("clip1"), made("clip2")), log_length()), "nothing was touched");
+    assert_eq!(
+        (before, log),
+        ((made("clip1"), made("clip2")), log_length()),
+        "nothing was touched"
+    );
     assert_eq!(ended(job(&dir, "--retry-failed --index 0")).code, 65);
-    assert!(log_length() > log, "it was run again because that was asked for");
+    assert!(
+        log_length() > log,
+        "it was run again because that was asked for"
+    );
     let which = ended(job(&dir, ""));
-    assert!(which.code == 2 && which.stderr.contains("--index from 0 to 2"), "{}", which.stderr);
+    assert!(
+        which.code == 2 && which.stderr.contains("--index from 0 to 2"),
+        "{}",
+        which.stderr
+    );
 
     // Other settings: all is made again, and takes the place of what was there.
     plan(&dir, "--iterations 21 --force");
@@ -142,10 +204,14 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
 /// The environment of a child of the process `parent`.
 #[cfg(target_os = "linux")]
 fn environment_of_child(parent: u32) -> String {
-    let processes = fs::read_dir("/proc").unwrap().filter_map(|entry| Some(entry.ok()?.path()));
+    let processes = fs::read_dir("/proc")
+        .unwrap()
+        .filter_map(|entry| Some(entry.ok()?.path()));
     let child = processes.into_iter().find(|folder| {
         let status = fs::read_to_string(folder.join("status")).unwrap_or_default();
-        status.lines().any(|line| line == format!("PPid:\t{parent}"))
+        status
+            .lines()
+            .any(|line| line == format!("PPid:\t{parent}"))
     });
     fs::read_to_string(child.unwrap().join("environ")).unwrap()
 }
@@ -157,11 +223,17 @@ fn run_of_a_job_sees_no_keys_of_who_started_it() {
     write_clips(&dir, 1);
     plan(&dir, "--iterations 100000 --set checkpoint.every_s=0.02");
     let mut command = job(&dir, "--index 0");
-    command.env("AWS_SECRET_ACCESS_KEY", "abc").env("HF_TOKEN", "def").env("LC_ALL", "C").env("RAYON_NUM_THREADS", "2");
+    command
+        .env("AWS_SECRET_ACCESS_KEY", "abc")
+        .env("HF_TOKEN", "def")
+        .env("LC_ALL", "C")
+        .env("RAYON_NUM_THREADS", "2");
     let running = start_until_saved(command, &dir.path("results/.work/clip1"), 1);
     let environment = environment_of_child(running.0.id());
-    let names: Vec<&str> =
-        environment.split_terminator('\0').filter_map(|pair| Some(pair.split_once('=')?.0)).collect();
+    let names: Vec<&str> = environment
+        .split_terminator('\0')
+        .filter_map(|pair| Some(pair.split_once('=')?.0))
+        .collect();
     for name in ["PATH", "LC_ALL", "RAYON_NUM_THREADS", "MINUTE4D_WEIGHTS"] {
         assert!(names.contains(&name), "{name} is needed: {names:?}");
     }
@@ -178,16 +250,23 @@ fn killed_job_resumes_to_identical_bits() {
     let settings = "--iterations 1200 --set checkpoint.every_s=0.02";
     dir.succeed(&format!("run clips/clip1 -o whole {settings}"));
     plan(&dir, settings);
-    let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 2);
+    let mut running =
+        start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 2);
     running.0.kill().unwrap();
     running.0.wait().unwrap();
-    assert!(!dir.path("results/clip1").exists(), "nothing half done is published");
+    assert!(
+        !dir.path("results/clip1").exists(),
+        "nothing half done is published"
+    );
     assert_eq!(clip(&status(&dir, ""), "clip1")["state"], "waiting");
 
     let second = ended(job(&dir, "--index 0"));
     assert_eq!(second.code, 0, "{}", second.stderr);
     let log = fs::read_to_string(dir.path("results/.log/clip1.txt")).unwrap();
-    assert!(log.contains("\"status\":\"resumed\""), "it began anew: {log}");
+    assert!(
+        log.contains("\"status\":\"resumed\""),
+        "it began anew: {log}"
+    );
     assert!(
         dir.read("whole/scene.safetensors") == dir.read("results/clip1/scene.safetensors"),
         "it must end with the same bits"
@@ -201,7 +280,8 @@ fn stopped_job_saves_and_can_be_rerun() {
     write_clips(&dir, 1);
     plan(&dir, "--iterations 3000 --set checkpoint.every_s=0.02");
     for (name, code) in [("-TERM", 75), ("-INT", 130)] {
-        let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
+        let mut running =
+            start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
         running.signal(name);
         assert_eq!(running.0.wait().unwrap().code(), Some(code), "{name}");
         let report = status(&dir, "");
@@ -218,15 +298,29 @@ fn out_of_memory_job_can_be_rerun() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
     plan(&dir, "--iterations 3000 --set checkpoint.every_s=0.02");
-    let mut running = start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
-    let found = Command::new("pgrep").args(["-P", &running.0.id().to_string()]).output().unwrap();
+    let mut running =
+        start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
+    let found = Command::new("pgrep")
+        .args(["-P", &running.0.id().to_string()])
+        .output()
+        .unwrap();
     for pid in String::from_utf8(found.stdout).unwrap().split_whitespace() {
-        assert!(Command::new("kill").args(["-KILL", pid]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args(["-KILL", pid])
+                .status()
+                .unwrap()
+                .success()
+        );
     }
     assert_eq!(running.0.wait().unwrap().code(), Some(75));
     let report = status(&dir, "--failed");
     let killed = clip(&report, "clip1");
-    assert!(killed["state"] == "retryable" && killed["reason"].as_str().unwrap().contains("out of memory"), "{report}");
+    assert!(
+        killed["state"] == "retryable"
+            && killed["reason"].as_str().unwrap().contains("out of memory"),
+        "{report}"
+    );
 }
 
 #[cfg(target_os = "linux")]
@@ -253,8 +347,14 @@ fn machine_failures_are_not_counted_against_the_clip() {
         ("kill -KILL $$", "SIGKILL"),
         ("exec /bin/sleep 600", "nothing came from it"),
         ("echo 'Cannot allocate memory' >&2; exit 1", "more memory"),
-        ("echo 'clip1.mkv: Input/output error' >&2; exit 1", "Input/output error"),
-        ("echo 'error while loading shared libraries: x.so' >&2; exit 127", "shared libraries"),
+        (
+            "echo 'clip1.mkv: Input/output error' >&2; exit 1",
+            "Input/output error",
+        ),
+        (
+            "echo 'error while loading shared libraries: x.so' >&2; exit 127",
+            "shared libraries",
+        ),
     ] {
         dir.install("ffprobe", body);
         run(words, 75);
@@ -267,7 +367,10 @@ fn machine_failures_are_not_counted_against_the_clip() {
         fs::rename(dir.path("away"), dir.path(name)).unwrap();
     }
     // The same clip, decoded: only now its own bytes speak against it.
-    dir.install("ffprobe", "echo 'clip1.mkv: Invalid data found when processing input' >&2; exit 1");
+    dir.install(
+        "ffprobe",
+        "echo 'clip1.mkv: Invalid data found when processing input' >&2; exit 1",
+    );
     run("Invalid data", 65);
     dir.install("ffprobe", "kill -KILL $$");
     run("not run again without --retry-failed", 65);
@@ -295,7 +398,11 @@ fn invalid_plans_and_changed_inputs_are_rejected() {
     fs::write(dir.path("clips/clip1/name.txt"), "another").unwrap();
     let changed = ended(job(&dir, "--index 0"));
     assert_eq!(changed.code, 75);
-    assert!(changed.stderr.contains("not what was planned"), "{}", changed.stderr);
+    assert!(
+        changed.stderr.contains("not what was planned"),
+        "{}",
+        changed.stderr
+    );
     dir.write("jobs.jsonl", "{}");
     assert_eq!(dir.call("batch status --manifest jobs.jsonl").code, 65);
     assert_eq!(code(&dir, 0), 78, "65 is for clips");
@@ -307,5 +414,8 @@ fn outside_links_need_permission_of_the_plan() {
     write_clips(&dir, 1);
     plan(&dir, "--allow-outside --iterations 1");
     let text = fs::read_to_string(dir.path("jobs.jsonl")).unwrap();
-    assert!(text.lines().next().unwrap().contains("--allow-outside"), "{text}");
+    assert!(
+        text.lines().next().unwrap().contains("--allow-outside"),
+        "{text}"
+    );
 }

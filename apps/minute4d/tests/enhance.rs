@@ -15,10 +15,18 @@ fn points_are_tracked_without_weights() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let line = "enhance capture -o better --segmenter none";
-    let report = dir.succeed(&format!("{line} --tracker flow --json")).result()["record"].clone();
-    assert_eq!((&report["segmenter"], &report["tracker"]), (&"none".into(), &"flow".into()));
-    let (before, after) =
-        (read_capture(&dir.path("capture"), Split::Train), read_capture(&dir.path("better"), Split::Train));
+    let report = dir
+        .succeed(&format!("{line} --tracker flow --json"))
+        .result()["record"]
+        .clone();
+    assert_eq!(
+        (&report["segmenter"], &report["tracker"]),
+        (&"none".into(), &"flow".into())
+    );
+    let (before, after) = (
+        read_capture(&dir.path("capture"), Split::Train),
+        read_capture(&dir.path("better"), Split::Train),
+    );
     assert_eq!(before.frames.len(), after.frames.len());
     let count = after.tracks.as_ref().map_or(0, |tracks| tracks.count());
     assert_eq!(report["tracks"], count);
@@ -41,8 +49,14 @@ fn impossible_enhancements_are_rejected_with_a_reason() {
     };
     let line = "enhance capture -o out --segmenter none --tracker none";
     dir.refused(line, 2, &["nothing to do"]);
-    of_networks("enhance capture -o out --segmenter sam2", &["weights add sam2.1-large", "--segmenter none"]);
-    of_networks("enhance capture -o out --tracker tapip3d", &["weights add tapip3d", "--tracker flow"]);
+    of_networks(
+        "enhance capture -o out --segmenter sam2",
+        &["weights add sam2.1-large", "--segmenter none"],
+    );
+    of_networks(
+        "enhance capture -o out --tracker tapip3d",
+        &["weights add tapip3d", "--tracker flow"],
+    );
     dir.refused("enhance nowhere -o out", 66, &["nowhere"]);
     assert!(!dir.path("out").exists());
 }
@@ -63,21 +77,45 @@ fn networks_enhance_a_capture() {
     let config = include_str!("../../../fixtures/tapip3d/config.json");
     FormulaWeights::of_keys(keys)
         .scaled("point_updater.flow_head.weight", 0.005)
-        .write_with(Some(("config", config)), &store.join("tapip3d/tapip3d.safetensors"));
-    m4_io::capture::write(&dir.path("capture"), &capture(3, false), Split::Train, &Silent).unwrap();
+        .write_with(
+            Some(("config", config)),
+            &store.join("tapip3d/tapip3d.safetensors"),
+        );
+    m4_io::capture::write(
+        &dir.path("capture"),
+        &capture(3, false),
+        Split::Train,
+        &Silent,
+    )
+    .unwrap();
     let line = "enhance capture -o better --json --segmenter sam2 --tracker tapip3d --set enhance.tapip3d.size=1.0 \
                 --set enhance.tapip3d.iterations=1 --set enhance.tapip3d.most=40 --set enhance.tapip3d.every=1";
     let mut command = dir.command(line);
     let ended = Ended::of(command.env("MINUTE4D_WEIGHTS", &store).output().unwrap());
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     let report = ended.result()["record"].clone();
-    assert_eq!((&report["segmenter"], &report["tracker"]), (&"sam2".into(), &"tapip3d".into()));
-    let networks: Vec<&str> =
-        report["networks"].as_array().unwrap().iter().map(|n| n["weights"].as_str().unwrap()).collect();
+    assert_eq!(
+        (&report["segmenter"], &report["tracker"]),
+        (&"sam2".into(), &"tapip3d".into())
+    );
+    let networks: Vec<&str> = report["networks"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|n| n["weights"].as_str().unwrap())
+        .collect();
     assert_eq!(networks, ["sam2.1-tiny", "tapip3d"]);
     assert_eq!(report["networks"][1]["commercial"], false);
     assert!(report["tracks"].as_u64().unwrap() > 0, "{report}");
-    assert_eq!(dir.json("better/instances.json")["segmenter"], "sam2.1-tiny");
+    assert_eq!(
+        dir.json("better/instances.json")["segmenter"],
+        "sam2.1-tiny"
+    );
     let better = read_capture(&dir.path("better"), Split::Train);
-    assert!(better.frames.iter().all(|frame| frame.instances.is_some() && frame.mask.is_some()));
+    assert!(
+        better
+            .frames
+            .iter()
+            .all(|frame| frame.instances.is_some() && frame.mask.is_some())
+    );
 }

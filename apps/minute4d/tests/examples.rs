@@ -15,7 +15,10 @@ mod train_capture;
 mod video_to_frames;
 
 fn words(text: &[&str]) -> impl Iterator<Item = String> {
-    text.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>().into_iter()
+    text.iter()
+        .map(|word| (*word).to_owned())
+        .collect::<Vec<_>>()
+        .into_iter()
 }
 
 #[test]
@@ -25,10 +28,22 @@ fn a_video_becomes_frames_and_a_scene_becomes_a_video() {
     video_to_frames::run(words(&[&dir.at("clip"), &dir.at("out"), "1"])).unwrap();
     let frame = read_rgb(&dir.path("out/00003.png")).unwrap();
     assert_eq!(frame.size(), clips::SIZE);
-    assert!(frame.data().iter().any(|rgb| rgb[0] > 60), "the image is not black");
-    render_path::run(words(&[&dir.at("out/scene.safetensors"), &dir.at("path.mp4")])).unwrap();
+    assert!(
+        frame.data().iter().any(|rgb| rgb[0] > 60),
+        "the image is not black"
+    );
+    render_path::run(words(&[
+        &dir.at("out/scene.safetensors"),
+        &dir.at("path.mp4"),
+    ]))
+    .unwrap();
     assert_eq!(frames_of(&dir.path("path.mp4")), (12, clips::SIZE));
-    assert!(render_path::run(words(&["only"])).unwrap_err().to_string().starts_with("usage"));
+    assert!(
+        render_path::run(words(&["only"]))
+            .unwrap_err()
+            .to_string()
+            .starts_with("usage")
+    );
 }
 
 #[test]
@@ -37,8 +52,10 @@ fn a_capture_becomes_splats_of_other_tools() {
     write_capture(&dir.path("capture"), false);
     train_capture::run(words(&[&dir.at("capture"), &dir.at("scene.ply"), "20"])).unwrap();
     assert!(dir.read("scene.ply").starts_with(b"ply"));
-    let again = train_capture::run(words(&[&dir.at("capture"), &dir.at("scene.ply"), "20"])).unwrap_err();
+    let again =
+        train_capture::run(words(&[&dir.at("capture"), &dir.at("scene.ply"), "20"])).unwrap_err();
     assert!(again.to_string().contains("already exists"), "{again}");
-    let unknown = train_capture::run(words(&[&dir.at("capture"), &dir.at("scene.obj"), "1"])).unwrap_err();
+    let unknown =
+        train_capture::run(words(&[&dir.at("capture"), &dir.at("scene.obj"), "1"])).unwrap_err();
     assert!(unknown.to_string().contains("names no format"), "{unknown}");
 }

@@ -1,5 +1,5 @@
-//! What is left of a run that was killed, ran out of time or out of disk, and how it continues; decoding in a process of its own, whose
-//! end ends nothing else.
+//! What is left of a run that was killed, ran out of time or out of disk, and how it continues;
+//! decoding in a process of its own, whose end ends nothing else.
 
 #[cfg(unix)]
 use crate::common::Ended;
@@ -16,7 +16,8 @@ use std::time::Duration;
 
 const FRAMES: usize = 10;
 /// A run from `walk` that is small and quick.
-const RUN: &str = "run walk --json --iterations 30 --set dense.working_side_px=160 --set preview.panel_px=64";
+const RUN: &str =
+    "run walk --json --iterations 30 --set dense.working_side_px=160 --set preview.panel_px=64";
 
 fn with_walk() -> Scratch {
     let dir = Scratch::new();
@@ -26,15 +27,22 @@ fn with_walk() -> Scratch {
 
 fn same_result(a: &Path, b: &Path) {
     for name in ["scene.safetensors", "capture/transforms_train.json"] {
-        assert!(fs::read(a.join(name)).unwrap() == fs::read(b.join(name)).unwrap(), "{name} differs");
+        assert!(
+            fs::read(a.join(name)).unwrap() == fs::read(b.join(name)).unwrap(),
+            "{name} differs"
+        );
     }
 }
 
 /// Names of the finished steps of geometry.
 fn steps(out: &Path) -> Vec<String> {
-    let found = fs::read_dir(out.join("capture/.minute4d-steps")).into_iter().flatten();
+    let found = fs::read_dir(out.join("capture/.minute4d-steps"))
+        .into_iter()
+        .flatten();
     let names = found.map(|entry| entry.unwrap().file_name().into_string().unwrap());
-    names.filter(|name| name != "key" && !name.ends_with(".part")).collect()
+    names
+        .filter(|name| name != "key" && !name.ends_with(".part"))
+        .collect()
 }
 
 #[test]
@@ -53,8 +61,14 @@ fn killed_geometry_resumes_after_its_last_step() {
             .stderr(Stdio::null())
             .spawn()
             .unwrap();
-        while !steps(&dir.path("killed")).iter().any(|name| name.starts_with(step)) {
-            assert!(child.try_wait().unwrap().is_none(), "it ended before {step} was seen");
+        while !steps(&dir.path("killed"))
+            .iter()
+            .any(|name| name.starts_with(step))
+        {
+            assert!(
+                child.try_wait().unwrap().is_none(),
+                "it ended before {step} was seen"
+            );
             std::thread::sleep(Duration::from_millis(1));
         }
         child.kill().unwrap();
@@ -66,7 +80,12 @@ fn killed_geometry_resumes_after_its_last_step() {
     let bytes = fs::read(&torn).unwrap();
     fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
     let events = dir.succeed(&format!("{RUN} -o killed --resume")).events();
-    assert!(events.iter().any(|e| e.to_string().contains("its finished steps are used")), "{events:?}");
+    assert!(
+        events
+            .iter()
+            .any(|e| e.to_string().contains("its finished steps are used")),
+        "{events:?}"
+    );
     assert!(!dir.path("killed/capture/.minute4d-steps").exists());
     same_result(&dir.path("calm"), &dir.path("killed"));
 }
@@ -81,8 +100,10 @@ fn partial_files_of_a_killed_process_do_not_block_the_next_run() {
     dir.succeed("train capture -o out --iterations 20");
     assert!(!torn.exists());
     let hidden = fs::read_dir(dir.path("out")).unwrap();
-    let hidden: Vec<_> =
-        hidden.map(|entry| entry.unwrap().file_name()).filter(|name| name.to_string_lossy().starts_with('.')).collect();
+    let hidden: Vec<_> = hidden
+        .map(|entry| entry.unwrap().file_name())
+        .filter(|name| name.to_string_lossy().starts_with('.'))
+        .collect();
     assert_eq!(hidden, [".minute4d-files.json"]);
 }
 
@@ -91,9 +112,17 @@ fn time_limit_ends_with_a_scene_or_a_resumable_state() {
     let dir = with_walk();
     let ended = dir.call(&format!("{RUN} -o out --time-limit 0.05s"));
     let end = ended.end();
-    assert_eq!((ended.code, &end["ok"]), (75, &false.into()), "{}", ended.stderr);
+    assert_eq!(
+        (ended.code, &end["ok"]),
+        (75, &false.into()),
+        "{}",
+        ended.stderr
+    );
     let reason = end["reason"].as_str().unwrap();
-    assert!(reason.contains("time limit") && reason.contains("--resume"), "{reason}");
+    assert!(
+        reason.contains("time limit") && reason.contains("--resume"),
+        "{reason}"
+    );
     dir.succeed(&format!("{RUN} -o out --resume"));
 
     write_capture(&dir.path("capture"), false);
@@ -110,7 +139,10 @@ fn time_limit_ends_with_a_scene_or_a_resumable_state() {
 #[cfg(unix)]
 fn with_files_of(dir: &Scratch, kilobytes: usize, line: &str) -> Ended {
     let program = dir.command(line);
-    let limited = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", 2 * kilobytes);
+    let limited = format!(
+        "trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"",
+        2 * kilobytes
+    );
     let mut command = Command::new("sh");
     command.current_dir(dir.path("")).args(["-c", &limited]);
     command.arg(program.get_program()).args(program.get_args());
@@ -132,9 +164,16 @@ fn full_disk_is_reported_and_the_run_resumes_when_there_is_space() {
     for kilobytes in [24, 60, 200] {
         let ended = with_files_of(&dir, kilobytes, &format!("{RUN} -o full --resume"));
         let end = ended.end();
-        assert_eq!(ended.code, 73, "{kilobytes} kB: {} {}", ended.stdout, ended.stderr);
+        assert_eq!(
+            ended.code, 73,
+            "{kilobytes} kB: {} {}",
+            ended.stdout, ended.stderr
+        );
         let reason = end["reason"].as_str().unwrap();
-        assert!(reason.contains("cannot write") && reason.contains("free space"), "{reason}");
+        assert!(
+            reason.contains("cannot write") && reason.contains("free space"),
+            "{reason}"
+        );
         let record = dir.json("full/run.json");
         assert_eq!(record["status"], "failed", "{kilobytes} kB");
         assert_eq!(record["error"].as_str().unwrap(), reason);
@@ -155,12 +194,20 @@ fn decoder_over_its_limits_is_killed_and_reported() {
         writer.push(image).unwrap();
     }
     writer.finish().unwrap();
-    // Our own process has all the memory that it wants. What a refusal of memory looks like depends on how much of it the program
-    // itself takes.
+    // Our own process has all the memory that it wants. What a refusal of memory looks like depends
+    // on how much of it the program itself takes.
     let words = ["large.mp4", "decoder failed", "video.decoder.memory_mb"];
-    dir.refused("geometry large.mp4 -o out --set video.decoder.memory_mb=64", 69, &words);
+    dir.refused(
+        "geometry large.mp4 -o out --set video.decoder.memory_mb=64",
+        69,
+        &words,
+    );
     let words = ["decoder.idle_seconds"];
-    dir.refused("geometry large.mp4 -o out --set video.decoder.idle_seconds=0", 78, &words);
+    dir.refused(
+        "geometry large.mp4 -o out --set video.decoder.idle_seconds=0",
+        78,
+        &words,
+    );
 }
 
 #[test]

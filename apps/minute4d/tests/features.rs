@@ -1,5 +1,5 @@
-//! What needs a feature that is not built in says so, and how to build it in; benchmarks with it, on a software Vulkan driver
-//! (lavapipe) where there is nothing better.
+//! What needs a feature that is not built in says so, and how to build it in; benchmarks with it,
+//! on a software Vulkan driver (lavapipe) where there is nothing better.
 
 use crate::common::Scratch;
 #[cfg(feature = "gpu")]
@@ -25,7 +25,11 @@ fn networks_without_the_feature_name_the_build_command() {
     let dir = Scratch::new();
     // a folder each: what one command leaves is not the next one's
     for (command, options, instead) in [
-        ("geometry", "-o out0 --frontend megasam", "--frontend classical"),
+        (
+            "geometry",
+            "-o out0 --frontend megasam",
+            "--frontend classical",
+        ),
         ("run", "-o out1 --frontend raft", "--frontend classical"),
         ("geometry", "-o out2 --segmenter sam2", "--segmenter none"),
         ("geometry", "-o out3 --tracker tapip3d", "--tracker flow"),
@@ -37,7 +41,11 @@ fn networks_without_the_feature_name_the_build_command() {
     for line in ["weights list", "weights fetch mobile-sam --accept-license"] {
         let ended = dir.call(line);
         assert_eq!(ended.code, 69, "{line}: {}", ended.stderr);
-        assert!(ended.stderr.contains("without networks") && ended.stderr.contains(BUILD_FULL), "{}", ended.stderr);
+        assert!(
+            ended.stderr.contains("without networks") && ended.stderr.contains(BUILD_FULL),
+            "{}",
+            ended.stderr
+        );
     }
 }
 
@@ -62,8 +70,15 @@ fn gpu_bench_reports_the_same_columns() {
     if !is_there(&dir) {
         return;
     }
-    let report = dir.succeed(&format!("{SMALL} --scene static --json")).result();
-    assert!(!report["machine"]["gpu"]["name"].as_str().unwrap().is_empty());
+    let report = dir
+        .succeed(&format!("{SMALL} --scene static --json"))
+        .result();
+    assert!(
+        !report["machine"]["gpu"]["name"]
+            .as_str()
+            .unwrap()
+            .is_empty()
+    );
     let case = &report["cases"][0];
     assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
     for kernel in case["kernels"].as_array().unwrap() {
@@ -74,7 +89,10 @@ fn gpu_bench_reports_the_same_columns() {
     let bytes = |name: &str| case["gpu"][name].as_f64().unwrap();
     assert!(bytes("reserved_bytes") >= bytes("in_use_bytes"), "{case}");
     // the rest is what density control would take
-    assert!((0.7..1.1).contains(&(bytes("in_use_bytes") / bytes("planned_bytes"))), "{case}");
+    assert!(
+        (0.7..1.1).contains(&(bytes("in_use_bytes") / bytes("planned_bytes"))),
+        "{case}"
+    );
 }
 
 #[cfg(feature = "gpu")]

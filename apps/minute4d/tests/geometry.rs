@@ -1,11 +1,14 @@
-//! Geometry from outside. What the user gives replaces what would be computed, and what does not fit is refused by name; clips that
-//! geometry cannot make much of end in a capture with a warning, or in a refusal that says what to do (docs/geometry.md has the table).
+//! Geometry from outside. What the user gives replaces what would be computed, and what does not
+//! fit is refused by name; clips that geometry cannot make much of end in a capture with a warning,
+//! or in a refusal that says what to do (docs/geometry.md has the table).
 
 use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image, see, walk};
 #[cfg(feature = "nets")]
 use crate::common::text;
 use crate::common::{Ended, Scratch, read_capture};
-use m4_core::{Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage, log_so3};
+use m4_core::{
+    Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage, log_so3,
+};
 use m4_eval::geometry::placement;
 use m4_io::capture::{self, Split};
 use m4_io::image::{read_depth, read_mask, write_depth, write_mask};
@@ -17,7 +20,9 @@ const FRAMES: usize = 12;
 
 /// Depth in metres, as the camera sees it.
 fn depth(camera: &Camera) -> DepthMap {
-    Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(camera, x as f64, y as f64).1 as f32)
+    Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
+        see(camera, x as f64, y as f64).1 as f32
+    })
 }
 
 /// A clip with everything known about it: `clip/`, `depth/`, `masks/`, `poses.json`.
@@ -29,7 +34,12 @@ fn known() -> (Scratch, Vec<Camera>) {
         fs::create_dir(dir.path(folder)).unwrap();
     }
     for (i, camera) in cameras.iter().enumerate() {
-        write_depth(&dir.path(&format!("depth/{i:05}.png")), &depth(camera), 0.001).unwrap();
+        write_depth(
+            &dir.path(&format!("depth/{i:05}.png")),
+            &depth(camera),
+            0.001,
+        )
+        .unwrap();
         let mask: Mask = Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 40 { 255 } else { 0 });
         write_mask(&dir.path(&format!("masks/{i:05}.png")), &mask).unwrap();
     }
@@ -44,10 +54,19 @@ fn known() -> (Scratch, Vec<Camera>) {
         instances: None,
         camera_index: None,
     });
-    let truth =
-        Capture { frames: frames.collect(), time_frames: FRAMES, duration_s: Some(1.1), metric: true, tracks: None };
+    let truth = Capture {
+        frames: frames.collect(),
+        time_frames: FRAMES,
+        duration_s: Some(1.1),
+        metric: true,
+        tracks: None,
+    };
     capture::write(&dir.path("truth"), &truth, Split::Train, &Silent).unwrap();
-    fs::copy(dir.path("truth/transforms_train.json"), dir.path("poses.json")).unwrap();
+    fs::copy(
+        dir.path("truth/transforms_train.json"),
+        dir.path("poses.json"),
+    )
+    .unwrap();
     (dir, cameras)
 }
 
@@ -65,7 +84,11 @@ fn depth_error(made: &Capture, cameras: &[Camera]) -> f64 {
     let mut sum = 0.0;
     for (frame, camera) in made.frames.iter().zip(cameras) {
         let (found, truth) = (frame.depth.as_ref().unwrap().to_map(), depth(camera));
-        let errors = found.data().iter().zip(truth.data()).map(|(a, b)| f64::from((a - b).abs() / b));
+        let errors = found
+            .data()
+            .iter()
+            .zip(truth.data())
+            .map(|(a, b)| f64::from((a - b).abs() / b));
         sum += errors.sum::<f64>() / truth.data().len() as f64;
     }
     sum / made.frames.len() as f64
@@ -73,7 +96,8 @@ fn depth_error(made: &Capture, cameras: &[Camera]) -> f64 {
 
 fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
     let both = made.frames.iter().zip(cameras);
-    both.map(|(f, c)| (f.camera.c2w.matrix() - c.c2w.matrix()).norm()).fold(0.0, f64::max)
+    both.map(|(f, c)| (f.camera.c2w.matrix() - c.c2w.matrix()).norm())
+        .fold(0.0, f64::max)
 }
 
 #[test]
@@ -90,12 +114,18 @@ fn given_poses_are_used_and_set_the_unit_of_depth() {
 #[test]
 fn poses_of_another_clip_are_rejected() {
     let (dir, _) = known();
-    let mut list: Value = serde_json::from_slice(&fs::read(dir.path("poses.json")).unwrap()).unwrap();
+    let mut list: Value =
+        serde_json::from_slice(&fs::read(dir.path("poses.json")).unwrap()).unwrap();
     list["frames"].as_array_mut().unwrap().truncate(10);
     dir.write("short.json", list.to_string());
-    for (poses, code, words) in
-        [("short.json", 65, &["short.json", "10 poses", "12 frames"][..]), ("none.json", 66, &["none.json", "--poses"])]
-    {
+    for (poses, code, words) in [
+        (
+            "short.json",
+            65,
+            &["short.json", "10 poses", "12 frames"][..],
+        ),
+        ("none.json", 66, &["none.json", "--poses"]),
+    ] {
         dir.refused(&format!("{GEOMETRY} --poses {poses}"), code, words);
     }
 }
@@ -112,22 +142,40 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     };
     clips::write(&dir.path("clip"), walk(FRAMES).iter().map(crop));
     let cx = SIZE.0 as f64 / 2.0 - cut as f64;
-    let lens = json!({"fl_x": FOCAL_PX, "cx": cx, "cy": SIZE.1 / 2, "w": SIZE.0 - cut, "h": SIZE.1});
+    let lens =
+        json!({"fl_x": FOCAL_PX, "cx": cx, "cy": SIZE.1 / 2, "w": SIZE.0 - cut, "h": SIZE.1});
     dir.write("lens.json", lens.to_string());
     let (record, made) = geometry(&dir, "--intrinsics lens.json");
     let k = made.frames[0].camera.intrinsics;
-    assert!((k.cx - cx).abs() < 1e-9 && (k.fx - FOCAL_PX).abs() < 1e-9, "{k:?}");
+    assert!(
+        (k.cx - cx).abs() < 1e-9 && (k.fx - FOCAL_PX).abs() < 1e-9,
+        "{k:?}"
+    );
     let with = record["found"]["residual_px"].as_f64().unwrap();
     assert!(with < 0.3, "{with}");
     assert_eq!(record["found"]["given"], json!(["intrinsics"]));
-    // Where the middle is taken for it, the way is bent: poses of the true lens are nearer to the truth.
+    // Where the middle is taken for it, the way is bent: poses of the true lens are nearer to the
+    // truth.
     let turn = |made: &Capture| {
-        let (a, b) = (made.frames[0].camera.c2w, made.frames[FRAMES - 1].camera.c2w);
+        let (a, b) = (
+            made.frames[0].camera.c2w,
+            made.frames[FRAMES - 1].camera.c2w,
+        );
         log_so3(&a.rotation.tr_mul(&b.rotation))
     };
     let cameras = walk(FRAMES);
-    let truth = log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
-    assert!((turn(&made) - truth).norm() < 0.01, "{} {}", turn(&made), truth);
+    let truth = log_so3(
+        &cameras[0]
+            .c2w
+            .rotation
+            .tr_mul(&cameras[FRAMES - 1].c2w.rotation),
+    );
+    assert!(
+        (turn(&made) - truth).norm() < 0.01,
+        "{} {}",
+        turn(&made),
+        truth
+    );
     for (lens, code, words) in [
         ("150,150,200,60", 65, "outside the frames"),
         ("150,150,300,60", 65, "the principal point cx is 300"),
@@ -154,7 +202,11 @@ fn given_masks_are_used_unchanged() {
     dir.refused(&line, 65, &["00004.png", "120 x 160"]);
     dir.write("masks/00004.png", "no image");
     dir.refused(&line, 65, &["00004.png"]);
-    dir.refused(&format!("{GEOMETRY} --masks none"), 66, &["none", "--masks"]);
+    dir.refused(
+        &format!("{GEOMETRY} --masks none"),
+        66,
+        &["none", "--masks"],
+    );
 }
 
 #[test]
@@ -164,7 +216,9 @@ fn given_depth_sets_the_unit() {
     for i in 0..FRAMES {
         let path = dir.path(&format!("depth/{i:05}.png"));
         let map = read_depth(&path, 0.001).unwrap().to_map();
-        let holes = Plane::from_fn(SIZE.0, SIZE.1, |x, y| if (x / 20) % 2 == 0 { map[(x, y)] } else { 0.0 });
+        let holes = Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
+            if (x / 20) % 2 == 0 { map[(x, y)] } else { 0.0 }
+        });
         write_depth(&path, &holes, 0.001).unwrap();
     }
     let (record, made) = geometry(&dir, "--depth depth");
@@ -198,7 +252,11 @@ fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
     assert_eq!(record["found"]["segmenter"], "none");
     let asked = format!("{GEOMETRY} --segmenter mobilesam");
     let env = [("MINUTE4D_WEIGHTS", text(&store))];
-    let words = ["mobilesam", "minute4d weights fetch mobile-sam", "--segmenter none"];
+    let words = [
+        "mobilesam",
+        "minute4d weights fetch mobile-sam",
+        "--segmenter none",
+    ];
     dir.refused_with(&asked, &env, 66, &words);
     // What lies there and is no checkpoint is refused, asked for or not.
     fs::create_dir(store.join("mobile-sam")).unwrap();
@@ -245,13 +303,16 @@ fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
     image.map(|rgb| rgb.map(|v| (f64::from(v) + 2.0 * rng.normal()).clamp(0.0, 255.0) as u8))
 }
 
-/// Largest errors of the cameras of a capture after the similarity that places them best: of the centre, per cent of the length of the
-/// path; of the axes, degrees; of the focal length, per cent.
+/// Largest errors of the cameras of a capture after the similarity that places them best: of the
+/// centre, per cent of the length of the path; of the axes, degrees; of the focal length, per cent.
 fn camera_errors(made: &Capture, truth: &[Camera]) -> [f64; 3] {
     let cameras: Vec<Camera> = made.frames.iter().map(|frame| frame.camera).collect();
     assert_eq!(cameras.len(), truth.len());
     let sim = placement(&cameras, truth).unwrap();
-    let length: f64 = truth.windows(2).map(|pair| (pair[1].centre() - pair[0].centre()).norm()).sum();
+    let length: f64 = truth
+        .windows(2)
+        .map(|pair| (pair[1].centre() - pair[0].centre()).norm())
+        .sum();
     let errors = cameras.iter().zip(truth).map(|(ours, truth)| {
         let turn = (sim.rotation * ours.c2w.rotation).transpose() * truth.c2w.rotation;
         [
@@ -260,19 +321,25 @@ fn camera_errors(made: &Capture, truth: &[Camera]) -> [f64; 3] {
             100.0 * (ours.intrinsics.fx / truth.intrinsics.fx - 1.0).abs(),
         ]
     });
-    errors.fold([0.0; 3], |largest, errors| std::array::from_fn(|k| f64::max(largest[k], errors[k])))
+    errors.fold([0.0; 3], |largest, errors| {
+        std::array::from_fn(|k| f64::max(largest[k], errors[k]))
+    })
 }
 
 #[test]
 fn translating_camera_is_reconstructed() {
     let (cameras, dir) = (walk(24), Scratch::new());
-    let record = record_of(&dir, cameras.iter().map(frame_image).collect()).result()["record"].clone();
+    let record =
+        record_of(&dir, cameras.iter().map(frame_image).collect()).result()["record"].clone();
     let found = &record["found"];
     assert_eq!(found["camera_motion"], "parallax", "{record}");
     let made = read_capture(&dir.path("out"), Split::Train);
     // measured: 0.06 %, 0.07 degrees and 1.9 %
     let errors = camera_errors(&made, &cameras);
-    assert!(errors[0] < 0.3 && errors[1] < 0.3 && errors[2] < 4.0, "{errors:?}");
+    assert!(
+        errors[0] < 0.3 && errors[1] < 0.3 && errors[2] < 4.0,
+        "{errors:?}"
+    );
     // the same walk without its bobbing is another path
     let mut level = cameras.clone();
     for camera in &mut level {
@@ -282,8 +349,14 @@ fn translating_camera_is_reconstructed() {
     let errors = camera_errors(&made, &level);
     assert!(errors[0] > 0.6 && errors[1] > 0.3, "{errors:?}");
     let confidence = &found["confidence"];
-    assert!(confidence["parallax_deg"].as_f64().unwrap() > 2.0, "{confidence}");
-    assert!(confidence["residual_px"].as_f64().unwrap() < 0.5, "{confidence}");
+    assert!(
+        confidence["parallax_deg"].as_f64().unwrap() > 2.0,
+        "{confidence}"
+    );
+    assert!(
+        confidence["residual_px"].as_f64().unwrap() < 0.5,
+        "{confidence}"
+    );
     assert_eq!(found["frontend"], "classical");
 }
 
@@ -295,7 +368,12 @@ fn poor_camera_motion_is_reported() {
         (
             turns.collect(),
             "rotation_only",
-            &["the camera rotates", "rotations only", "geometry is poor", "sideways"][..],
+            &[
+                "the camera rotates",
+                "rotations only",
+                "geometry is poor",
+                "sideways",
+            ][..],
         ),
         // a tripod
         (
@@ -310,19 +388,34 @@ fn poor_camera_motion_is_reported() {
         assert_eq!(found["camera_motion"], motion, "{found}");
         contains(&warnings, words);
         assert!(!identical || found["moving_share"] == 0.0, "{found}");
-        assert!(motion == "static" || found["confidence"]["grade"] == "poor", "{found}");
+        assert!(
+            motion == "static" || found["confidence"]["grade"] == "poor",
+            "{found}"
+        );
     }
 }
 
 #[test]
 fn zoom_without_translation_is_reported() {
     // The focal length doubles; the camera stays.
-    let zoom = (0..16).map(|i| frame_image(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
+    let zoom = (0..16).map(|i| {
+        frame_image(&camera(
+            0.0,
+            0.0,
+            FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0),
+        ))
+    });
     let dir = Scratch::new();
     let record = record_of(&dir, zoom.collect()).result()["record"].clone();
-    assert_eq!(record["found"]["camera_motion"], "rotation_only", "{record}");
+    assert_eq!(
+        record["found"]["camera_motion"], "rotation_only",
+        "{record}"
+    );
     assert_eq!(record["found"]["confidence"]["grade"], "poor", "{record}");
-    contains(&record["warnings"].to_string(), &["the lens zooms", "without zoom", "geometry is poor"]);
+    contains(
+        &record["warnings"].to_string(),
+        &["the lens zooms", "without zoom", "geometry is poor"],
+    );
     // Every frame has its own lens.
     let capture = dir.json("out/transforms_train.json");
     let focal = |i: usize| capture["frames"][i]["fl_x"].as_f64().unwrap();
@@ -352,7 +445,10 @@ fn refuses(images: Vec<RgbImage>, words: &[&str]) {
 
 #[test]
 fn one_frame_a_black_clip_and_a_cut_are_rejected() {
-    refuses(vec![frame_image(&camera(0.0, 0.0, FOCAL_PX))], &["at least 2"]);
+    refuses(
+        vec![frame_image(&camera(0.0, 0.0, FOCAL_PX))],
+        &["at least 2"],
+    );
     let black: RgbImage = Plane::filled(SIZE.0, SIZE.1, [0; 3]);
     refuses(vec![black; 6], &["only 0 points", "--static-camera"]);
     let before = walk(6).iter().map(frame_image).collect::<Vec<_>>();

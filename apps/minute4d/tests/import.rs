@@ -6,7 +6,10 @@ use m4_io::capture::Split;
 use std::fs;
 
 fn fixture(name: &str) -> String {
-    format!("{}/../../fixtures/import/{name}", env!("CARGO_MANIFEST_DIR"))
+    format!(
+        "{}/../../fixtures/import/{name}",
+        env!("CARGO_MANIFEST_DIR")
+    )
 }
 
 /// Fixtures whose folder says what they are.
@@ -31,8 +34,14 @@ fn source_formats_are_detected_and_imported() {
         assert_eq!(report["format"], format, "{name}");
         assert!(report["frames"].as_u64().unwrap() > 2, "{name}: {report}");
         let train = read_capture(&dir.path(format), Split::Train);
-        assert_eq!(train.frames.len() as u64, report["frames"].as_u64().unwrap());
-        assert!(report["held_out"].as_u64().unwrap() >= held_out, "{name}: {report}");
+        assert_eq!(
+            train.frames.len() as u64,
+            report["frames"].as_u64().unwrap()
+        );
+        assert!(
+            report["held_out"].as_u64().unwrap() >= held_out,
+            "{name}: {report}"
+        );
         let listed = dir.path(format).join(Split::Test.file_name()).is_file();
         assert_eq!(listed, report["held_out"] != 0, "{name}");
     }
@@ -42,9 +51,17 @@ fn source_formats_are_detected_and_imported() {
     dir.succeed(&format!("import '{recording}' -o dycheck --force"));
     assert!(!dir.path("dycheck").join(Split::Test.file_name()).exists());
     write_capture(&dir.path("capture"), false);
-    dir.refused("export capture -o out", 65, &["is a capture, which the format 4dgs cannot store"]);
+    dir.refused(
+        "export capture -o out",
+        65,
+        &["is a capture, which the format 4dgs cannot store"],
+    );
     let trained = dir.call("train colmap -o out --iterations 5");
-    assert!(trained.code == 0 || trained.stderr.contains("depth"), "{}", trained.stderr);
+    assert!(
+        trained.code == 0 || trained.stderr.contains("depth"),
+        "{}",
+        trained.stderr
+    );
 }
 
 #[test]
@@ -61,28 +78,47 @@ fn invalid_requests_are_rejected_with_a_hint() {
         ("empty --format vipe", 65, "pose"),
         ("bad_droid.npz", 65, "not an npz archive"),
         ("a.ply --fps 3", 2, "--fps has no meaning for ply"),
-        (&*format!("'{droid}' --depth maps"), 2, "--depth has no meaning for megasam"),
+        (
+            &*format!("'{droid}' --depth maps"),
+            2,
+            "--depth has no meaning for megasam",
+        ),
         ("empty --format obj", 2, "no format is called obj"),
         (&format!("'{davis}'"), 65, "no camera poses"),
         (&format!("'{recording}' --depth /nowhere"), 66, "/nowhere"),
     ] {
         dir.refused(&format!("import -o out {args}"), code, &[says]);
     }
-    assert!(!dir.path("out").exists(), "what cannot be used leaves nothing behind");
+    assert!(
+        !dir.path("out").exists(),
+        "what cannot be used leaves nothing behind"
+    );
 }
 
-/// What is exported comes back by the importer, which was written against the formats and not against the exporter.
+/// What is exported comes back by the importer, which was written against the formats and not
+/// against the exporter.
 #[test]
 fn exported_captures_import_to_the_same_capture() {
     let dir = Scratch::new();
     dir.succeed(&format!("import '{}' -o own", fixture("dycheck")));
     let read = |name: &str| read_capture(&dir.path(name), Split::Train);
     let train = read("own");
-    let moves = |c: &Capture| c.frames.iter().filter_map(|f| f.mask.as_ref()).map(|m| m.count()).sum::<usize>();
+    let moves = |c: &Capture| {
+        c.frames
+            .iter()
+            .filter_map(|f| f.mask.as_ref())
+            .map(|m| m.count())
+            .sum::<usize>()
+    };
     let line = "export own --format colmap -o colmap";
     let report = dir.succeed(&format!("{line} --json")).result();
     assert!(report["bytes"].as_u64().unwrap() > 1000, "{report}");
-    assert!(report["losses"]["dropped"].to_string().contains("held-out views"), "{report}");
+    assert!(
+        report["losses"]["dropped"]
+            .to_string()
+            .contains("held-out views"),
+        "{report}"
+    );
     dir.succeed("import colmap -o again");
     let back = read("again");
     assert_eq!(back.frames.len(), train.frames.len());
@@ -115,7 +151,11 @@ fn data_sets_that_name_outside_files_need_permission() {
         "run out -o made --iterations 1",
         "enhance out -o made",
     ] {
-        dir.refused(line, 65, &["transforms_train.json", "private/", "--allow-outside"]);
+        dir.refused(
+            line,
+            65,
+            &["transforms_train.json", "private/", "--allow-outside"],
+        );
     }
     dir.succeed("export out --format colmap -o exported --allow-outside");
     let set = "run out -o made --set capture.reach=\"Anywhere\"";

@@ -1,4 +1,5 @@
-//! A front end of networks with synthetic weights, and `minute4d weights` without a network: `pip` is a script of the test's.
+//! A front end of networks with synthetic weights, and `minute4d weights` without a network: `pip`
+//! is a script of the test's.
 #![cfg(feature = "nets")]
 
 use crate::common::{Ended, Scratch, read_capture, text};
@@ -24,7 +25,9 @@ fn write_clip(folder: &Path) {
     for k in 0..FRAMES {
         let frame = Plane::from_fn(SIDE, SIDE, |x, y| {
             let (x, y) = (x as f32 + 3.0 * k as f32, y as f32 + k as f32);
-            let wave = |a: f32, b: f32| (127.0 + 60.0 * (a * x).sin() + 60.0 * (b * y + 0.03 * x).cos()) as u8;
+            let wave = |a: f32, b: f32| {
+                (127.0 + 60.0 * (a * x).sin() + 60.0 * (b * y + 0.03 * x).cos()) as u8
+            };
             [wave(0.21, 0.13), wave(0.09, 0.31), wave(0.37, 0.05)]
         });
         write_rgb(&folder.join(format!("{k:03}.png")), &frame).unwrap();
@@ -34,14 +37,17 @@ fn write_clip(folder: &Path) {
 fn write_weights(store: &Path) {
     let droid = include_str!("../../../fixtures/droid/keys.txt");
     let raft = include_str!("../../../fixtures/raft/keys.txt");
-    for (name, file, keys) in [("megasam", "megasam_final.pth", droid), ("raft-things", "raft-things.pth", raft)] {
+    for (name, file, keys) in [
+        ("megasam", "megasam_final.pth", droid),
+        ("raft-things", "raft-things.pth", raft),
+    ] {
         fs::create_dir_all(store.join(name)).unwrap();
         write_formula_weights(keys, &store.join(name).join(file));
     }
 }
 
-/// Few updates, for the time that they take: settings of callers in Rust. Synthetic weights show hardly any motion, so thresholds
-/// of motion are low.
+/// Few updates, for the time that they take: settings of callers in Rust. Synthetic weights show
+/// hardly any motion, so thresholds of motion are low.
 fn few() -> Settings {
     let mut settings = Settings::fast();
     let megasam = &mut settings.megasam;
@@ -78,7 +84,10 @@ fn library_caller_makes_a_capture() {
     settings.geometry.frontend = env::var(FRONTEND).unwrap().parse().unwrap();
     let job = Job {
         settings,
-        device: DeviceRequest { choice: DeviceChoice::Cpu, max_vram_mb: None },
+        device: DeviceRequest {
+            choice: DeviceChoice::Cpu,
+            max_vram_mb: None,
+        },
         existing: Existing::Refuse,
         observer: &Silent,
     };
@@ -88,7 +97,12 @@ fn library_caller_makes_a_capture() {
 fn made(clip: &Path, out: &Path, store: &Path, frontend: &str) -> Capture {
     let mut command = Command::new(env::current_exe().unwrap());
     command
-        .args(["--exact", "networks::library_caller_makes_a_capture", "--ignored", "--nocapture"])
+        .args([
+            "--exact",
+            "networks::library_caller_makes_a_capture",
+            "--ignored",
+            "--nocapture",
+        ])
         .env("MINUTE4D_WEIGHTS", store)
         .env(CLIP, clip)
         .env(OUT, out)
@@ -106,18 +120,33 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
     write_weights(&store);
     let out = dir.path("out");
     let capture = made(&clip, &out, &store, "megasam");
-    let record: Value = serde_json::from_str(&fs::read_to_string(out.join("geometry.json")).unwrap()).unwrap();
+    let record: Value =
+        serde_json::from_str(&fs::read_to_string(out.join("geometry.json")).unwrap()).unwrap();
     // The choice, and the lack of a depth network, is reported.
     let warnings = record["warnings"].to_string();
-    assert!(warnings.contains("raft") && warnings.contains("no depth from one image"), "{warnings}");
+    assert!(
+        warnings.contains("raft") && warnings.contains("no depth from one image"),
+        "{warnings}"
+    );
     let found = &record["found"];
-    assert_eq!((&found["frontend"], &found["frames"]), (&Value::from("megasam+raft"), &Value::from(FRAMES)));
+    assert_eq!(
+        (&found["frontend"], &found["frames"]),
+        (&Value::from("megasam+raft"), &Value::from(FRAMES))
+    );
     let networks = found["networks"].as_array().unwrap();
-    let licences: Vec<&str> = networks.iter().map(|n| n["licence"].as_str().unwrap()).collect();
+    let licences: Vec<&str> = networks
+        .iter()
+        .map(|n| n["licence"].as_str().unwrap())
+        .collect();
     assert_eq!(licences, ["CC-BY 4.0", "BSD-3-Clause"]);
     assert!(found["keyframes"].as_array().unwrap().len() > 2, "{found}");
     assert_eq!((capture.frames.len(), capture.metric), (FRAMES, false));
-    assert!(capture.frames.iter().all(|f| f.motion.is_some() && f.mask.is_some() && f.depth.is_some()));
+    assert!(
+        capture
+            .frames
+            .iter()
+            .all(|f| f.motion.is_some() && f.mask.is_some() && f.depth.is_some())
+    );
 }
 
 #[test]
@@ -128,13 +157,26 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
     write_weights(&store);
     let env = [("MINUTE4D_WEIGHTS", text(&store))];
     for (options, code, words) in [
-        ("megasam+moge", 66, &["moge", "minute4d weights add", "--frontend classical"][..]),
+        (
+            "megasam+moge",
+            66,
+            &["moge", "minute4d weights add", "--frontend classical"][..],
+        ),
         ("classical+raft", 2, &["classical", "raft", "flow"]),
         ("gmflow", 2, &["gmflow", "raft"]),
         ("megasan", 2, &["megasan", "moge"]),
-        ("megasam --segmenter mobilesam", 66, &["minute4d weights fetch mobile-sam"]),
+        (
+            "megasam --segmenter mobilesam",
+            66,
+            &["minute4d weights fetch mobile-sam"],
+        ),
     ] {
-        dir.refused_with(&format!("geometry clip -o out --frontend {options}"), &env, code, words);
+        dir.refused_with(
+            &format!("geometry clip -o out --frontend {options}"),
+            &env,
+            code,
+            words,
+        );
     }
     // a file that is no checkpoint
     fs::write(store.join("raft-things/raft-things.pth"), "no weights").unwrap();
@@ -146,7 +188,9 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
 fn weights(dir: &Scratch, line: &str) -> Ended {
     fs::create_dir_all(dir.path("bin")).unwrap();
     let mut command = dir.command(&format!("weights {line} --json"));
-    command.env("MINUTE4D_WEIGHTS", dir.path("store")).env("PATH", dir.path("bin"));
+    command
+        .env("MINUTE4D_WEIGHTS", dir.path("store"))
+        .env("PATH", dir.path("bin"));
     Ended::of(command.output().unwrap())
 }
 
@@ -165,26 +209,65 @@ fn weights_list_names_known_and_installed_files() {
     let ended = weights(&dir, "list");
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     let rows = ended.result();
-    let row = |name: &str| rows.as_array().unwrap().iter().find(|r| r["name"] == name).unwrap().clone();
+    let row = |name: &str| {
+        rows.as_array()
+            .unwrap()
+            .iter()
+            .find(|r| r["name"] == name)
+            .unwrap()
+            .clone()
+    };
     assert_eq!(row("mobile-sam")["bytes"], 40_728_226);
     assert_eq!(row("mobile-sam")["got_by"], "fetch");
     assert!(row("mobile-sam")["path"].is_null());
     assert_eq!(row("tapip3d")["commercial"], false);
     assert_eq!(row("megasam")["got_by"], "add");
-    assert_eq!(row("megasam")["command"], "minute4d weights add megasam FILE");
-    assert!(row("megasam")["without"].as_str().unwrap().contains("classical"));
+    assert_eq!(
+        row("megasam")["command"],
+        "minute4d weights add megasam FILE"
+    );
+    assert!(
+        row("megasam")["without"]
+            .as_str()
+            .unwrap()
+            .contains("classical")
+    );
 }
 
 #[test]
 fn unfetchable_weights_are_rejected_with_a_reason() {
     let dir = Scratch::new();
-    reason(&weights(&dir, "fetch mobile-sm"), 2, &["did you mean mobile-sam"]);
-    reason(&weights(&dir, "fetch megasam"), 66, &["weights add megasam FILE"]);
-    reason(&weights(&dir, "fetch mobile-sam"), 69, &["no pip was found", "weights add mobile-sam FILE"]);
+    reason(
+        &weights(&dir, "fetch mobile-sm"),
+        2,
+        &["did you mean mobile-sam"],
+    );
+    reason(
+        &weights(&dir, "fetch megasam"),
+        66,
+        &["weights add megasam FILE"],
+    );
+    reason(
+        &weights(&dir, "fetch mobile-sam"),
+        69,
+        &["no pip was found", "weights add mobile-sam FILE"],
+    );
     dir.write("mine.pkl", b"something else");
-    reason(&weights(&dir, "add mobile-sam mine.pkl"), 65, &["mine.pkl", "40728226 bytes"]);
-    reason(&weights(&dir, "add tapip3d mine.pkl"), 2, &["--accept-license"]);
-    reason(&weights(&dir, "verify mobile-sam"), 66, &["weights fetch mobile-sam"]);
+    reason(
+        &weights(&dir, "add mobile-sam mine.pkl"),
+        65,
+        &["mine.pkl", "40728226 bytes"],
+    );
+    reason(
+        &weights(&dir, "add tapip3d mine.pkl"),
+        2,
+        &["--accept-license"],
+    );
+    reason(
+        &weights(&dir, "verify mobile-sam"),
+        66,
+        &["weights fetch mobile-sam"],
+    );
 }
 
 #[test]
@@ -193,9 +276,17 @@ fn added_file_is_installed_and_verified() {
     dir.write("mine.pth", b"a checkpoint");
     let ended = weights(&dir, "add megasam mine.pth");
     assert_eq!(ended.code, 0, "{}", ended.stderr);
-    assert!(ended.stderr.contains("no published checksum"), "{}", ended.stderr);
+    assert!(
+        ended.stderr.contains("no published checksum"),
+        "{}",
+        ended.stderr
+    );
     dir.write("empty.pth", b"");
-    reason(&weights(&dir, "add megasam empty.pth"), 65, &["an empty file"]);
+    reason(
+        &weights(&dir, "add megasam empty.pth"),
+        65,
+        &["an empty file"],
+    );
     let found = weights(&dir, "verify").result();
     assert_eq!(found[0]["condition"], "as added", "{found}");
     fs::write(dir.path("store/megasam/megasam_final.pth"), b"a chackpoint").unwrap();

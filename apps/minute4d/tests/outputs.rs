@@ -1,4 +1,5 @@
-//! Nothing of the user's is removed or replaced: inputs, files that are not ours, and results until the new ones are complete.
+//! Nothing of the user's is removed or replaced: inputs, files that are not ours, and results until
+//! the new ones are complete.
 
 use crate::common::clips::{frame_image, walk, write};
 use crate::common::{Ended, Scratch, device, write_capture, write_video};
@@ -19,7 +20,10 @@ fn state(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             if path.is_dir() {
                 open.push(path);
             } else {
-                files.insert(path.strip_prefix(folder).unwrap().to_path_buf(), fs::read(&path).unwrap());
+                files.insert(
+                    path.strip_prefix(folder).unwrap().to_path_buf(),
+                    fs::read(&path).unwrap(),
+                );
             }
         }
     }
@@ -65,10 +69,18 @@ fn no_command_replaces_its_input() {
     }
     for line in lines {
         for how in ["--force", "--resume"] {
-            if how == "--resume" && ["export", "split", "import"].iter().any(|command| line.starts_with(command)) {
+            if how == "--resume"
+                && ["export", "split", "import"]
+                    .iter()
+                    .any(|command| line.starts_with(command))
+            {
                 continue;
             }
-            dir.refused(&format!("{line} {how}"), 73, &["is an input of this command", "choose another place"]);
+            dir.refused(
+                &format!("{line} {how}"),
+                73,
+                &["is an input of this command", "choose another place"],
+            );
             assert!(state(&dir.path("")) == before, "{line} {how}");
         }
     }
@@ -88,7 +100,11 @@ fn no_command_replaces_an_input_whose_path_is_no_text() {
     command.arg(run.join("preview.mp4")).arg("-o").arg(&run);
     let ended = Ended::of(command.output().unwrap());
     assert_eq!(ended.code, 73, "{}", ended.stderr);
-    assert!(ended.stderr.contains("is an input of this command"), "{}", ended.stderr);
+    assert!(
+        ended.stderr.contains("is an input of this command"),
+        "{}",
+        ended.stderr
+    );
     assert!(state(&run) == before);
 }
 
@@ -100,20 +116,44 @@ fn files_that_are_not_ours_are_named_and_left() {
     for name in ["train", "depth", "images", "checkpoints", "frames", "ply"] {
         fs::create_dir_all(dir.path(&format!("mine/{name}"))).unwrap();
     }
-    for name in ["train/thesis.txt", "depth/1.png", "images/dog.jpg", "checkpoints/0000001.safetensors", "00000.png"] {
+    for name in [
+        "train/thesis.txt",
+        "depth/1.png",
+        "images/dog.jpg",
+        "checkpoints/0000001.safetensors",
+        "00000.png",
+    ] {
         dir.write(&format!("mine/{name}"), "mine");
     }
     dir.write("mine/frames/00001.png", "mine");
     dir.write("mine/ply/frame_00002.ply", "mine");
     let before = state(&dir.path("mine"));
     for (line, names) in [
-        ("geometry clip.mp4 -o mine", &["mine/train/thesis.txt", "no list names it as a result of minute4d"][..]),
-        ("enhance capture -o mine --segmenter none --tracker flow", &["thesis.txt"]),
-        ("train capture -o mine --iterations 5", &["0000001.safetensors"]),
+        (
+            "geometry clip.mp4 -o mine",
+            &[
+                "mine/train/thesis.txt",
+                "no list names it as a result of minute4d",
+            ][..],
+        ),
+        (
+            "enhance capture -o mine --segmenter none --tracker flow",
+            &["thesis.txt"],
+        ),
+        (
+            "train capture -o mine --iterations 5",
+            &["0000001.safetensors"],
+        ),
         ("run clip.mp4 -o mine", &["0000001.safetensors"]),
         ("split capture -o mine --protocol holdout", &["thesis.txt"]),
-        ("export capture --format colmap -o mine", &["mine/images/dog.jpg"]),
-        ("export run --format ply-sequence -o mine/ply", &["frame_00002.ply"]),
+        (
+            "export capture --format colmap -o mine",
+            &["mine/images/dog.jpg"],
+        ),
+        (
+            "export run --format ply-sequence -o mine/ply",
+            &["frame_00002.ply"],
+        ),
         ("render run --path train -o mine", &["00000.png"]),
         ("render run --path train -o mine/frames", &["00001.png"]),
     ] {
@@ -136,7 +176,13 @@ fn files_that_are_not_ours_are_named_and_left() {
 fn devices_pipes_and_dangling_links_are_no_outputs() {
     let dir = with_capture();
     dir.succeed(&format!("{TRAIN} -o run"));
-    assert!(std::process::Command::new("mkfifo").arg(dir.path("pipe.ply")).status().unwrap().success());
+    assert!(
+        std::process::Command::new("mkfifo")
+            .arg(dir.path("pipe.ply"))
+            .status()
+            .unwrap()
+            .success()
+    );
     device(&dir, "full");
     std::os::unix::fs::symlink("full", dir.path("device.png")).unwrap();
     std::os::unix::fs::symlink("nowhere/at/all", dir.path("link.mp4")).unwrap();
@@ -150,17 +196,34 @@ fn devices_pipes_and_dangling_links_are_no_outputs() {
         dir.refused(&format!("{line} --force"), 73, &["cannot write"]);
     }
     use std::os::unix::fs::FileTypeExt;
-    assert!(fs::metadata(dir.path("full")).unwrap().file_type().is_char_device());
-    assert!(fs::metadata(dir.path("pipe.ply")).unwrap().file_type().is_fifo());
+    assert!(
+        fs::metadata(dir.path("full"))
+            .unwrap()
+            .file_type()
+            .is_char_device()
+    );
+    assert!(
+        fs::metadata(dir.path("pipe.ply"))
+            .unwrap()
+            .file_type()
+            .is_fifo()
+    );
 }
 
 /// Kills the program with SIGKILL once `seen` holds, and checks what it left.
 #[cfg(unix)]
 fn killed(dir: &Scratch, line: &str, seen: impl Fn() -> bool) {
     let mut command = dir.command(line);
-    let mut child = command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null()).spawn().unwrap();
+    let mut child = command
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
     while !seen() {
-        assert!(child.try_wait().unwrap().is_none(), "it ended before it was killed: {line}");
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "it ended before it was killed: {line}"
+        );
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
     child.kill().unwrap();
@@ -181,21 +244,33 @@ fn old_results_are_whole_until_new_ones_are_complete() {
     let old = state(&dir.path("out"));
     // geometry of a capture alone
     let geometry = "geometry walk -o out/capture --set dense.working_side_px=120";
-    killed(&dir, &format!("{geometry} --force"), || dir.path("out/capture/.minute4d-steps/cameras").exists());
+    killed(&dir, &format!("{geometry} --force"), || {
+        dir.path("out/capture/.minute4d-steps/cameras").exists()
+    });
     assert!(state(&dir.path("out")) == old, "geometry");
     // a run from its geometry on, and one in training
     let next = dir.path("out/.minute4d-run-next");
-    killed(&dir, &format!("{run} 60 -o out --force"), || next.join("capture/.minute4d-steps/cameras").exists());
+    killed(&dir, &format!("{run} 60 -o out --force"), || {
+        next.join("capture/.minute4d-steps/cameras").exists()
+    });
     assert!(state(&dir.path("out")) == old, "run");
-    let checkpoint = || fs::read_dir(next.join("checkpoints")).is_ok_and(|mut entries| entries.next().is_some());
+    let checkpoint =
+        || fs::read_dir(next.join("checkpoints")).is_ok_and(|mut entries| entries.next().is_some());
     killed(&dir, &format!("{run} 60 -o out --resume"), checkpoint);
     assert!(state(&dir.path("out")) == old, "training");
-    dir.refused(&format!("{run} 60 -o out"), 73, &["a finished run", "--resume", "--force"]);
+    dir.refused(
+        &format!("{run} 60 -o out"),
+        73,
+        &["a finished run", "--resume", "--force"],
+    );
     // what reads the folder has the old scene, and the run goes on
     dir.succeed("render out --path source --at 1 -o old.png");
     dir.succeed(&format!("{run} 60 -o out --resume"));
     for name in ["scene.safetensors", "capture/transforms_train.json"] {
-        assert!(dir.read(&format!("out/{name}")) == dir.read(&format!("other/{name}")), "{name}");
+        assert!(
+            dir.read(&format!("out/{name}")) == dir.read(&format!("other/{name}")),
+            "{name}"
+        );
     }
     assert!(!next.exists() && !dir.path("out/checkpoints").exists());
     assert_eq!(dir.json("out/run.json")["status"], "finished");
@@ -218,7 +293,9 @@ fn captures_of_the_run_itself_can_be_trained_again() {
     let capture = state(&dir.path("out/capture"));
     let scene = dir.read("out/scene.safetensors");
     dir.succeed(&format!("train out/capture {options} 30 -o out --force"));
-    assert!(state(&dir.path("out/capture")) == capture && dir.read("out/scene.safetensors") != scene);
+    assert!(
+        state(&dir.path("out/capture")) == capture && dir.read("out/scene.safetensors") != scene
+    );
     // of another capture, the old one goes with the old scene
     write_capture(&dir.path("capture"), false);
     dir.succeed(&format!("{TRAIN} -o out --force"));
@@ -233,9 +310,16 @@ fn results_may_be_in_the_folder_that_they_are_made_from() {
     dir.succeed(line);
     let made = state(&dir.path("walk"));
     let again = dir.succeed(&format!("{line} --resume --json"));
-    let reused = again.events().iter().filter(|e| e.to_string().contains("reused")).count();
+    let reused = again
+        .events()
+        .iter()
+        .filter(|e| e.to_string().contains("reused"))
+        .count();
     assert!(reused >= 2, "{}", again.stdout);
-    assert!(state(&dir.path("walk"))[Path::new("out/scene.safetensors")] == made[Path::new("out/scene.safetensors")]);
+    assert!(
+        state(&dir.path("walk"))[Path::new("out/scene.safetensors")]
+            == made[Path::new("out/scene.safetensors")]
+    );
     // The folder itself has no room for them.
     for line in ["run walk -o walk --force", "geometry walk -o walk --force"] {
         dir.refused(line, 73, &["is an input of this command"]);
@@ -247,13 +331,24 @@ fn a_run_that_left_nothing_does_not_block_the_next() {
     let dir = Scratch::new();
     dir.write("bad.mp4", [0; 5000]);
     write(&dir.path("walk"), walk(8).iter().map(frame_image));
-    let options = "--set dense.working_side_px=160 --set preview.panel_px=64 --iterations 20 -o out";
+    let options =
+        "--set dense.working_side_px=160 --set preview.panel_px=64 --iterations 20 -o out";
     dir.refused(&format!("run bad.mp4 {options}"), 65, &["bad.mp4"]);
     dir.succeed(&format!("run walk {options}"));
     // one with finished steps does, and says so
     #[cfg(unix)]
     {
-        killed(&dir, "run walk -o cut", || dir.path("cut/capture/.minute4d-steps/cameras").exists());
-        dir.refused("run walk -o cut", 73, &["an unfinished run (finished steps of geometry)", "--resume", "--force"]);
+        killed(&dir, "run walk -o cut", || {
+            dir.path("cut/capture/.minute4d-steps/cameras").exists()
+        });
+        dir.refused(
+            "run walk -o cut",
+            73,
+            &[
+                "an unfinished run (finished steps of geometry)",
+                "--resume",
+                "--force",
+            ],
+        );
     }
 }

@@ -1,5 +1,5 @@
-//! Images from outside: every camera path at sizes that no camera of the video has, and the page while it plays, where every image
-//! belongs to one instant.
+//! Images from outside: every camera path at sizes that no camera of the video has, and the page
+//! while it plays, where every image belongs to one instant.
 
 use crate::common::{SIZE, Scratch, finished_run, frames_of, write_clip};
 use m4_core::nalgebra::{Matrix3, Vector3};
@@ -37,27 +37,46 @@ struct Shot {
 fn shot(page: &mut Chromium) -> Shot {
     let state = page.eval(SHOT);
     let number = |value: &Value| value.as_f64().unwrap();
-    let c2w: Vec<f64> = state["camera"]["c2w"].as_array().unwrap().iter().map(number).collect();
+    let c2w: Vec<f64> = state["camera"]["c2w"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(number)
+        .collect();
     let k = |name: &str| number(&state["camera"][name]);
     let size = |name: &str| number(&state[name]) as usize;
     let (width, height) = (size("width"), size("height"));
     let camera = Camera {
-        intrinsics: Intrinsics { fx: k("fx"), fy: k("fy"), cx: k("cx"), cy: k("cy"), width, height },
+        intrinsics: Intrinsics {
+            fx: k("fx"),
+            fy: k("fy"),
+            cx: k("cx"),
+            cy: k("cy"),
+            width,
+            height,
+        },
         c2w: Se3 {
             rotation: Matrix3::from_fn(|row, column| c2w[4 * row + column]),
             translation: Vector3::new(c2w[3], c2w[7], c2w[11]),
         },
     };
-    let rgba: Vec<u8> = state["rgba"].as_array().unwrap().iter().map(|v| v.as_u64().unwrap() as u8).collect();
+    let rgba: Vec<u8> = state["rgba"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v.as_u64().unwrap() as u8)
+        .collect();
     Shot {
         t: number(&state["time"]),
         camera,
-        image: RgbImage::from_fn(width, height, |x, y| std::array::from_fn(|c| rgba[4 * (y * width + x) + c])),
+        image: RgbImage::from_fn(width, height, |x, y| {
+            std::array::from_fn(|c| rgba[4 * (y * width + x) + c])
+        }),
     }
 }
 
-/// Agreement of an image with our renderer at the time and the camera that the page reports, dB: over all of it,
-/// and where dynamic splats change it.
+/// Agreement of an image with our renderer at the time and the camera that the page reports, dB:
+/// over all of it, and where dynamic splats change it.
 fn agreement(shot: &Shot, all: &mut Painter<'_>, still: &mut Painter<'_>) -> (f64, f64) {
     let whole = &all.frame(&shot.camera, shot.t, false).rgb;
     let alone = &still.frame(&shot.camera, shot.t, false).rgb;
@@ -65,7 +84,8 @@ fn agreement(shot: &Shot, all: &mut Painter<'_>, still: &mut Painter<'_>) -> (f6
     for (i, pixel) in shot.image.data().iter().enumerate() {
         let dynamic = (0..3).any(|c| 255.0 * (whole[c][i] - alone[c][i]).abs() > CHANGE);
         for c in 0..3 {
-            let error = f64::from(pixel[c]) - f64::from((255.0 * whole[c][i].clamp(0.0, 1.0)).round());
+            let error =
+                f64::from(pixel[c]) - f64::from((255.0 * whole[c][i].clamp(0.0, 1.0)).round());
             sums[0] += error * error;
             counts[0] += 1;
             if dynamic {
@@ -74,17 +94,22 @@ fn agreement(shot: &Shot, all: &mut Painter<'_>, still: &mut Painter<'_>) -> (f6
             }
         }
     }
-    assert!(counts[1] > counts[0] / 50, "the object covers a fiftieth of the image at least");
+    assert!(
+        counts[1] > counts[0] / 50,
+        "the object covers a fiftieth of the image at least"
+    );
     let db = |k: usize| 10.0 * (255.0f64.powi(2) * counts[k] as f64 / sums[k].max(1e-9)).log10();
     (db(0), db(1))
 }
 
-/// Slow enough that images are never a whole repetition of the clip behind its clock, which would count as nothing.
+/// Slow enough that images are never a whole repetition of the clip behind its clock, which would
+/// count as nothing.
 const SLOWLY: f64 = 0.1;
 /// Images over which the lag is measured.
 const IMAGES: usize = 8;
 
-/// How far the shown images are behind the clock of playback, and what the page says that an image costs, seconds: medians.
+/// How far the shown images are behind the clock of playback, and what the page says that an image
+/// costs, seconds: medians.
 fn lag(page: &mut Chromium) -> [f64; 2] {
     page.eval(&format!(
         "(() => {{ const speed = document.querySelector('[data-control=speed]'); speed.value = '{SLOWLY}'; \
@@ -97,13 +122,17 @@ fn lag(page: &mut Chromium) -> [f64; 2] {
         let state = page.eval("minute4d.state()");
         let number = |value: &Value| value.as_f64().unwrap();
         assert_eq!(number(&state["speed"]), SLOWLY);
-        let frames = (number(&state["clock"]) - number(&state["time"])).rem_euclid((FRAMES - 1) as f64);
+        let frames =
+            (number(&state["clock"]) - number(&state["time"])).rem_euclid((FRAMES - 1) as f64);
         behind.push(frames / (FPS * SLOWLY));
         shown.push(number(&state["time"]));
         shown.dedup();
         // a median of the last images: the first one takes longer
         let parts = ["slice_ms", "readback_ms", "sort_ms", "draw_ms"];
-        let now = parts.iter().map(|part| number(&state["instant"][part]) / 1000.0).sum();
+        let now = parts
+            .iter()
+            .map(|part| number(&state["instant"][part]) / 1000.0)
+            .sum();
         // nothing is known just after the page has changed the size of its images
         cost = if now > 0.0 { now } else { cost };
     }
@@ -134,13 +163,20 @@ const SHOTS: usize = 6;
 
 #[test]
 fn playback_images_match_their_time() {
-    let Some(chromium) = find_chromium() else { return };
+    let Some(chromium) = find_chromium() else {
+        return;
+    };
     let dir = Scratch::new();
     write_clip(&dir.path("capture"), PAGE_SIZE, FRAMES, FPS);
     dir.succeed("train capture -o out --iterations 300");
-    let scene = safetensors::read(&dir.path("out/scene.safetensors")).unwrap().scene;
+    let scene = safetensors::read(&dir.path("out/scene.safetensors"))
+        .unwrap()
+        .scene;
     let kept: Vec<u32> = (0..scene.splats.n_static() as u32).collect();
-    let without = Scene { splats: scene.splats.gather(&kept).unwrap(), ..scene.clone() };
+    let without = Scene {
+        splats: scene.splats.gather(&kept).unwrap(),
+        ..scene.clone()
+    };
     let level = SimdLevel::detect().unwrap();
     let (mut all, mut still) = (Painter::new(&scene, level), Painter::new(&without, level));
 
@@ -151,7 +187,10 @@ fn playback_images_match_their_time() {
     // The image that is shown, the one that is drawn, and the one that waits for it.
     let [behind, cost] = lag(&mut page);
     eprintln!("images are {behind:.2} s behind the clock; one costs {cost:.2} s");
-    assert!(behind <= 3.0 * cost + 0.3, "images are {behind} s behind the clock, and one costs {cost} s");
+    assert!(
+        behind <= 3.0 * cost + 0.3,
+        "images are {behind} s behind the clock, and one costs {cost} s"
+    );
     let mut worst = (f64::INFINITY, f64::INFINITY);
     for (what, script) in SCRIPTS {
         page.eval(script);
@@ -160,7 +199,10 @@ fn playback_images_match_their_time() {
             page.eval("new Promise((done) => setTimeout(done, 300))");
             let shot = shot(&mut page);
             let (whole, dynamic) = agreement(&shot, &mut all, &mut still);
-            eprintln!("{what}, frame {:.2}: {whole:.1} dB, {dynamic:.1} dB where it is dynamic", shot.t);
+            eprintln!(
+                "{what}, frame {:.2}: {whole:.1} dB, {dynamic:.1} dB where it is dynamic",
+                shot.t
+            );
             worst = (worst.0.min(whole), worst.1.min(dynamic));
             times.push(shot.t);
         }
@@ -168,7 +210,10 @@ fn playback_images_match_their_time() {
         times.dedup();
         assert!(times.len() >= 5, "{what}: {times:?}");
     }
-    assert!(worst.0 >= WHOLE_DB && worst.1 >= DYNAMIC_DB, "{worst:?} dB at the worst");
+    assert!(
+        worst.0 >= WHOLE_DB && worst.1 >= DYNAMIC_DB,
+        "{worst:?} dB at the worst"
+    );
 }
 
 /// `render` of that scene, with these options.
@@ -201,11 +246,20 @@ fn every_path_is_rendered_at_an_odd_size() {
             (&frames.into(), &51.into(), &37.into()),
             "{path}"
         );
-        assert_eq!(frames_of(&dir.path(&format!("{path}.mp4"))), (frames, (52, 38)), "{path}");
+        assert_eq!(
+            frames_of(&dir.path(&format!("{path}.mp4"))),
+            (frames, (52, 38)),
+            "{path}"
+        );
     }
-    dir.succeed(&line("--path swing --seconds 0.5 --fps 10 --size 33x21 -o png"));
+    dir.succeed(&line(
+        "--path swing --seconds 0.5 --fps 10 --size 33x21 -o png",
+    ));
     assert_eq!(dir.count("png"), 5);
-    assert_eq!(read_rgb(&dir.path("png/00004.png")).unwrap().size(), (33, 21));
+    assert_eq!(
+        read_rgb(&dir.path("png/00004.png")).unwrap().size(),
+        (33, 21)
+    );
     // A shorter render replaces a longer one, and leaves what is not its own.
     dir.write("png/note.txt", "mine");
     dir.succeed(&line("--path swing --seconds 0.2 --fps 10 -o png --force"));
@@ -221,11 +275,19 @@ fn single_image_equals_the_video_frame() {
     assert_eq!(dir.count("all"), 6);
     let one = dir.path("one.png");
     assert!(difference(&one, &dir.path("all/00003.png")) < 0.01);
-    assert!(difference(&one, &dir.path("all/00000.png")) > 1.0, "another moment looks different");
+    assert!(
+        difference(&one, &dir.path("all/00000.png")) > 1.0,
+        "another moment looks different"
+    );
     // Twice the size of a crop of the middle is the same view.
     dir.succeed(&line("--path source --at 3 --size 48x48 -o cropped.png"));
-    let (small, whole) = (read_rgb(&dir.path("cropped.png")).unwrap(), read_rgb(&one).unwrap());
-    assert!((0..48).all(|y| (0..48).all(|x| (0..3).all(|c| small[(x, y)][c].abs_diff(whole[(x + 8, y)][c]) <= 2))));
+    let (small, whole) = (
+        read_rgb(&dir.path("cropped.png")).unwrap(),
+        read_rgb(&one).unwrap(),
+    );
+    assert!((0..48).all(|y| {
+        (0..48).all(|x| (0..3).all(|c| small[(x, y)][c].abs_diff(whole[(x + 8, y)][c]) <= 2))
+    }));
 }
 
 #[test]
@@ -240,7 +302,10 @@ fn camera_and_keyframe_files_are_rendered() {
     );
     dir.succeed(&line("--path own.json -o own"));
     assert_eq!(dir.count("own"), 6);
-    assert_eq!(read_rgb(&dir.path("own/00005.png")).unwrap().size(), (31, 23));
+    assert_eq!(
+        read_rgb(&dir.path("own/00005.png")).unwrap().size(),
+        (31, 23)
+    );
     let still = dir.succeed(&line("--path train --at 0 --size 31x23 -o still.png"));
     assert!(!still.stderr.contains("warning"), "{}", still.stderr);
 
@@ -260,22 +325,45 @@ fn camera_and_keyframe_files_are_rendered() {
 #[test]
 fn impossible_renders_are_rejected_before_writing() {
     let dir = Scratch::new();
-    dir.write("broken.json", r#"{"format": "minute4d-path", "version": 1, "keyframes": [{"time_s": 0}]}"#);
+    dir.write(
+        "broken.json",
+        r#"{"format": "minute4d-path", "version": 1, "keyframes": [{"time_s": 0}]}"#,
+    );
     dir.write("there.png", "mine");
     for (options, code, words) in [
-        ("-o never --path source --degrees 3", 2, &["--degrees", "source", "--seconds"][..]),
-        ("-o never --path train --seconds 3", 2, &["--seconds", "--at"]),
+        (
+            "-o never --path source --degrees 3",
+            2,
+            &["--degrees", "source", "--seconds"][..],
+        ),
+        (
+            "-o never --path train --seconds 3",
+            2,
+            &["--seconds", "--at"],
+        ),
         ("-o never --path swing --degrees nan", 2, &["--degrees"]),
         ("-o never --path swing --seconds -1", 2, &["--seconds"]),
-        ("-o never --path swing --seconds 3600 --fps 240", 2, &["864000 images"]),
+        (
+            "-o never --path swing --seconds 3600 --fps 240",
+            2,
+            &["864000 images"],
+        ),
         ("-o never --path bullet --seconds 2", 2, &["leaves no time"]),
         ("-o never --path bullet --at 9s", 2, &["9s", "outside"]),
-        ("-o never --path bullet --at soon", 2, &["\"soon\"", "not a time"]),
+        (
+            "-o never --path bullet --at soon",
+            2,
+            &["\"soon\"", "not a time"],
+        ),
         ("-o never --time later", 2, &["\"later\"", "freeze@T"]),
         ("-o never --time freeze@6", 2, &["frame 6", "0 to 5"]),
         ("-o never --path gone.json", 66, &["gone.json"]),
         ("-o never --path spiral", 2, &["spiral", "bullet"]),
-        ("-o never --path broken.json", 65, &["broken.json", "camera 0", "look_at"]),
+        (
+            "-o never --path broken.json",
+            65,
+            &["broken.json", "camera 0", "look_at"],
+        ),
         ("-o never --size 99999x9", 2, &["each side 1 to 16384"]),
         ("-o a.mov --path swing", 2, &["a.mov", ".mp4"]),
         ("-o a.png --path swing", 2, &["a.png", "one image"]),

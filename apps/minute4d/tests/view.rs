@@ -18,7 +18,12 @@ fn with_capture() -> Scratch {
 }
 
 fn start(dir: &Scratch, line: &str) -> (Running, BufReader<ChildStdout>) {
-    let mut child = dir.command(line).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut child = dir
+        .command(line)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
     let stdout = BufReader::new(child.stdout.take().unwrap());
     (Running(child), stdout)
 }
@@ -45,24 +50,38 @@ impl Place {
     fn of(url: &str) -> Self {
         let rest = url.trim().strip_prefix("http://127.0.0.1:").unwrap();
         let (port, token) = rest.split_once("/?token=").unwrap();
-        Self { port: port.parse().unwrap(), token: token.to_owned() }
+        Self {
+            port: port.parse().unwrap(),
+            token: token.to_owned(),
+        }
     }
 
     fn send(&self, target: &str) -> TcpStream {
         let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port)).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_secs(60)))
+            .unwrap();
         let host = format!("127.0.0.1:{}", self.port);
-        write!(stream, "GET {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+        write!(
+            stream,
+            "GET {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
+        )
+        .unwrap();
         stream
     }
 
     /// Status and body of an answer to a request with the token.
     fn ask(&self, path: &str) -> (u16, Vec<u8>) {
         let mut all = Vec::new();
-        self.send(&format!("{path}?token={}", self.token)).read_to_end(&mut all).unwrap();
+        self.send(&format!("{path}?token={}", self.token))
+            .read_to_end(&mut all)
+            .unwrap();
         let end = all.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
         let head = String::from_utf8(all[..end].to_vec()).unwrap();
-        (head.split(' ').nth(1).unwrap().parse().unwrap(), all[end + 4..].to_vec())
+        (
+            head.split(' ').nth(1).unwrap().parse().unwrap(),
+            all[end + 4..].to_vec(),
+        )
     }
 
     fn page(&self) -> page::Contents {
@@ -99,7 +118,9 @@ fn run_writes_a_page_with_its_scene() {
     assert_eq!(record["files"]["viewer.html"]["bytes"], html.len());
     assert!(record["stages"]["viewer"]["seconds"].as_f64().unwrap() > 0.0);
     let held = page::read(&html).unwrap();
-    let scene = safetensors::read(&dir.path("out/scene.safetensors")).unwrap().scene;
+    let scene = safetensors::read(&dir.path("out/scene.safetensors"))
+        .unwrap()
+        .scene;
     let splats = decode(&held.payload.unwrap()).unwrap();
     // invisible ones are left out
     assert!(splats.n() <= scene.splats.n() && splats.n() > scene.splats.n() / 2);
@@ -112,8 +133,15 @@ fn run_writes_a_page_with_its_scene() {
     assert!(!file.exists());
     assert!(dir.json("out/run.json")["files"]["viewer.html"].is_null());
     let again = dir.succeed("train capture -o out --iterations 30 --resume");
-    assert!(file.exists(), "asked for later, it is made of the scene that is there");
-    assert!(again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"), "{}", again.stderr);
+    assert!(
+        file.exists(),
+        "asked for later, it is made of the scene that is there"
+    );
+    assert!(
+        again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"),
+        "{}",
+        again.stderr
+    );
 }
 
 #[test]
@@ -130,21 +158,38 @@ fn view_shows_the_scene_and_its_replacement() {
 
     let first = place.page();
     let live = first.manifest.live.clone().unwrap();
-    assert_eq!(first.frames.unwrap().index.offsets.len(), 7, "the frames of the capture it was made of");
+    assert_eq!(
+        first.frames.unwrap().index.offsets.len(),
+        7,
+        "the frames of the capture it was made of"
+    );
     let mut events = place.listen(&live.events);
     let heard: Vec<Value> = (0..2).map(|_| next_event(&mut events).unwrap()).collect();
-    assert_eq!((&heard[0]["event"], &heard[0]["iteration"]), (&"metrics".into(), &30.into()));
-    assert_eq!((&heard[1]["event"], &heard[1]["ok"]), (&"end".into(), &true.into()));
+    assert_eq!(
+        (&heard[0]["event"], &heard[0]["iteration"]),
+        (&"metrics".into(), &30.into())
+    );
+    assert_eq!(
+        (&heard[1]["event"], &heard[1]["ok"]),
+        (&"end".into(), &true.into())
+    );
 
     // a broken file is not shown, a whole one is
     let scene = dir.path("out/scene.safetensors");
     fs::write(&scene, b"not a scene").unwrap();
     std::thread::sleep(Duration::from_millis(1500));
-    assert_eq!(place.page().payload, first.payload, "the scene before stays");
+    assert_eq!(
+        place.page().payload,
+        first.payload,
+        "the scene before stays"
+    );
     fs::copy(dir.path("other/scene.safetensors"), dir.path("out/new")).unwrap();
     fs::rename(dir.path("out/new"), &scene).unwrap();
     let event = next_event(&mut events).unwrap();
-    assert_eq!((&event["event"], &event["version"]), (&"scene".into(), &2.into()));
+    assert_eq!(
+        (&event["event"], &event["version"]),
+        (&"scene".into(), &2.into())
+    );
     let (status, answer) = place.ask("/scene");
     assert_eq!(status, 200);
     let second = place.page().payload.unwrap();
@@ -163,8 +208,16 @@ fn view_rejects_bad_arguments_and_broken_scenes() {
     let dir = with_capture();
     dir.write("broken.safetensors", b"not a scene");
     fs::create_dir(dir.path("empty")).unwrap();
-    dir.refused("view broken.safetensors --no-open", 65, &["broken.safetensors"]);
-    dir.refused("view nowhere --no-open", 66, &["no scene or run", "nowhere"]);
+    dir.refused(
+        "view broken.safetensors --no-open",
+        65,
+        &["broken.safetensors"],
+    );
+    dir.refused(
+        "view nowhere --no-open",
+        66,
+        &["no scene or run", "nowhere"],
+    );
     dir.refused("view empty --no-open", 66, &["no scene or run"]);
     dir.succeed("train capture -o out --iterations 20 --no-viewer");
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
@@ -179,22 +232,47 @@ fn training_with_a_live_page_gives_identical_bits() {
     dir.succeed("train capture -o alone --iterations 1500");
     let line = "train capture -o seen --iterations 1500 --view --no-open --json";
     let (mut running, mut stdout) = start(&dir, line);
-    let url = event_of(&mut stdout, "view")["url"].as_str().unwrap().to_owned();
-    let reader = std::thread::spawn(move || stdout.lines().map_while(Result::ok).collect::<Vec<String>>());
+    let url = event_of(&mut stdout, "view")["url"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let reader = std::thread::spawn(move || {
+        stdout
+            .lines()
+            .map_while(Result::ok)
+            .collect::<Vec<String>>()
+    });
     let place = Place::of(&url);
     let mut events = place.listen(&place.page().manifest.live.unwrap().events);
     let heard: Vec<Value> = std::iter::from_fn(|| next_event(&mut events)).collect();
-    assert_eq!(running.0.wait().unwrap().code(), Some(0), "without a terminal it ends by itself");
+    assert_eq!(
+        running.0.wait().unwrap().code(),
+        Some(0),
+        "without a terminal it ends by itself"
+    );
     let last: Value = serde_json::from_str(reader.join().unwrap().last().unwrap()).unwrap();
     assert_eq!((&last["event"], &last["ok"]), (&"end".into(), &true.into()));
 
     let names: Vec<&str> = heard.iter().map(|e| e["event"].as_str().unwrap()).collect();
     let first_scene = names.iter().position(|n| *n == "scene").unwrap();
-    assert!(first_scene + 2 < names.len(), "a scene while it trained: {names:?}");
-    assert_eq!(&names[names.len() - 2..], ["scene", "end"], "the result, then the end");
+    assert!(
+        first_scene + 2 < names.len(),
+        "a scene while it trained: {names:?}"
+    );
+    assert_eq!(
+        &names[names.len() - 2..],
+        ["scene", "end"],
+        "the result, then the end"
+    );
     let metrics = heard.iter().rfind(|e| e["event"] == "metrics").unwrap();
-    assert_eq!((&metrics["iteration"], &metrics["iterations"]), (&1500.into(), &1500.into()));
-    assert!(dir.read("alone/scene.safetensors") == dir.read("seen/scene.safetensors"), "the scenes differ");
+    assert_eq!(
+        (&metrics["iteration"], &metrics["iterations"]),
+        (&1500.into(), &1500.into())
+    );
+    assert!(
+        dir.read("alone/scene.safetensors") == dir.read("seen/scene.safetensors"),
+        "the scenes differ"
+    );
     let mut pages = ["alone", "seen"].map(|run| {
         let html = String::from_utf8(dir.read(&format!("{run}/viewer.html"))).unwrap();
         page::read(&html).unwrap()
@@ -217,15 +295,29 @@ fn view_accepts_a_bare_scene_file_and_a_checkpoint() {
 
     // a folder in which training continues: no scene yet, a checkpoint
     fs::create_dir(dir.path("out/checkpoints")).unwrap();
-    fs::rename(dir.path("out/scene.safetensors"), dir.path("out/checkpoints/0000020.safetensors")).unwrap();
+    fs::rename(
+        dir.path("out/scene.safetensors"),
+        dir.path("out/checkpoints/0000020.safetensors"),
+    )
+    .unwrap();
     let (_running, mut stdout) = start(&dir, "view out --no-open --json");
     let event = event_of(&mut stdout, "result");
-    assert_eq!(Place::of(event["result"]["url"].as_str().unwrap()).page().payload, page.payload);
+    assert_eq!(
+        Place::of(event["result"]["url"].as_str().unwrap())
+            .page()
+            .payload,
+        page.payload
+    );
 
     // a folder in which a replacement was interrupted after it was complete
     fs::create_dir(dir.path("replaced")).unwrap();
     fs::rename(dir.path("out"), dir.path("replaced/.minute4d-run-done")).unwrap();
     let (_running, mut stdout) = start(&dir, "view replaced --no-open --json");
     let event = event_of(&mut stdout, "result");
-    assert_eq!(Place::of(event["result"]["url"].as_str().unwrap()).page().payload, page.payload);
+    assert_eq!(
+        Place::of(event["result"]["url"].as_str().unwrap())
+            .page()
+            .payload,
+        page.payload
+    );
 }

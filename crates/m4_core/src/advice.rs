@@ -1,4 +1,5 @@
-//! What helps against a failure or a weak result, as phrases in messages. A program names its option behind each.
+//! What helps against a failure or a weak result, as phrases in messages. A program names its
+//! option behind each.
 
 /// The field of view is not known well enough.
 pub const FIELD_OF_VIEW: &str = "give the true field of view";

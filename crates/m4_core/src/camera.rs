@@ -22,13 +22,30 @@ pub struct Intrinsics {
 impl Intrinsics {
     /// Square pixels, principal point in the middle.
     pub fn centred(width: usize, height: usize, focal_px: f64) -> Self {
-        Self { width, height, fx: focal_px, fy: focal_px, cx: width as f64 / 2.0, cy: height as f64 / 2.0 }
+        Self {
+            width,
+            height,
+            fx: focal_px,
+            fy: focal_px,
+            cx: width as f64 / 2.0,
+            cy: height as f64 / 2.0,
+        }
     }
 
     /// The same field of view on an image of another size.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
-        Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy }
+        let (sx, sy) = (
+            width as f64 / self.width as f64,
+            height as f64 / self.height as f64,
+        );
+        Self {
+            width,
+            height,
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: self.cx * sx,
+            cy: self.cy * sy,
+        }
     }
 
     /// Horizontal field of view, radians.
@@ -62,11 +79,14 @@ impl Camera {
     pub fn project(&self, world: &Vector3<f64>) -> ([f64; 2], f64) {
         let k = &self.intrinsics;
         let p = self.w2c().transform(world);
-        ([k.fx * p.x / p.z + k.cx - 0.5, k.fy * p.y / p.z + k.cy - 0.5], p.z)
+        (
+            [k.fx * p.x / p.z + k.cx - 0.5, k.fy * p.y / p.z + k.cy - 0.5],
+            p.z,
+        )
     }
 
-    /// The world point at pixel coordinates `(u, v)` (centre of the first pixel: 0, 0) and z-depth `z`
-    /// (Minute4D Eq. 4).
+    /// The world point at pixel coordinates `(u, v)` (centre of the first pixel: 0, 0) and z-depth
+    /// `z` (Minute4D Eq. 4).
     pub fn unproject(&self, u: f64, v: f64, z: f64) -> Vector3<f64> {
         let k = &self.intrinsics;
         let p = Vector3::new((u + 0.5 - k.cx) / k.fx * z, (v + 0.5 - k.cy) / k.fy * z, z);
@@ -75,6 +95,9 @@ impl Camera {
 
     /// The same camera with an image of another size.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        Self { intrinsics: self.intrinsics.resized(width, height), c2w: self.c2w }
+        Self {
+            intrinsics: self.intrinsics.resized(width, height),
+            c2w: self.c2w,
+        }
     }
 }

@@ -9,7 +9,8 @@ pub struct CaptureFrame {
     pub name: String,
     /// Lens and pose.
     pub camera: Camera,
-    /// When it was taken, in frames of the training video: `time * (frames - 1)` of a file's `time` in `[0, 1]`.
+    /// When it was taken, in frames of the training video: `time * (frames - 1)` of a file's `time`
+    /// in `[0, 1]`.
     pub t: f64,
     /// The image.
     pub rgb: RgbImage,
@@ -17,10 +18,11 @@ pub struct CaptureFrame {
     pub depth: Option<CompactDepth>,
     /// The dynamic part; the size may differ from that of `rgb`.
     pub mask: Option<CompactMask>,
-    /// Probability that each pixel is dynamic, 255 = certain; `None` if not estimated; the size may differ from that of `rgb`.
+    /// Probability that each pixel is dynamic, 255 = certain; `None` if not estimated; the size may
+    /// differ from that of `rgb`.
     pub motion: Option<Plane<u8>>,
-    /// Which thing each pixel shows, the same number in all frames, 0 for none; `None` if objects were not segmented; the size may differ
-    /// from that of `rgb`.
+    /// Which thing each pixel shows, the same number in all frames, 0 for none; `None` if objects
+    /// were not segmented; the size may differ from that of `rgb`.
     pub instances: Option<CompactIds>,
     /// Which held-out camera took it; `None` for training frames.
     pub camera_index: Option<u32>,
@@ -37,7 +39,8 @@ pub struct Capture {
     pub duration_s: Option<f64>,
     /// True when depth and poses are metres; false when their scale is arbitrary.
     pub metric: bool,
-    /// Trajectories of points on dynamic objects, indexed like `frames`; `None` if no points were tracked.
+    /// Trajectories of points on dynamic objects, indexed like `frames`; `None` if no points were
+    /// tracked.
     pub tracks: Option<Tracks>,
 }
 
@@ -72,7 +75,10 @@ pub struct Exposure {
 
 impl Exposure {
     /// Changes nothing.
-    pub const IDENTITY: Self = Self { matrix: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], offset: [0.0; 3] };
+    pub const IDENTITY: Self = Self {
+        matrix: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        offset: [0.0; 3],
+    };
 }
 
 /// Camera, moment and exposure of one training frame, as optimised.
@@ -106,7 +112,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Period of the first harmonic of time, frames: the length of the clip (docs/spec/optimiser.md 1.8).
+    /// Period of the first harmonic of time, frames: the length of the clip (docs/spec/optimiser.md
+    /// 1.8).
     #[must_use]
     pub fn period_frames(&self) -> f64 {
         (self.time_frames.max(2) - 1) as f64

@@ -1,4 +1,5 @@
-//! Masks, depth maps and instance maps as a capture stores them: small in memory, bit for bit the same.
+//! Masks, depth maps and instance maps as a capture stores them: small in memory, bit for bit the
+//! same.
 
 use crate::{DepthMap, Mask, Plane, covering};
 
@@ -17,9 +18,15 @@ impl CompactMask {
         let n = width * height;
         let word = |k: usize| {
             let pixels = 64 * k..n.min(64 * k + 64);
-            pixels.fold(0u64, |word, i| word | u64::from(f(i % width, i / width)) << (i % 64))
+            pixels.fold(0u64, |word, i| {
+                word | u64::from(f(i % width, i / width)) << (i % 64)
+            })
         };
-        Self { width, height, words: (0..n.div_ceil(64)).map(word).collect() }
+        Self {
+            width,
+            height,
+            words: (0..n.div_ceil(64)).map(word).collect(),
+        }
     }
 
     /// `(width, height)`.
@@ -59,7 +66,11 @@ impl CompactMask {
 
     /// The mask as bytes, 255 where it is set.
     pub fn to_mask(&self) -> Mask {
-        Plane::from_fn(self.width, self.height, |x, y| if self.at(x, y) { 255 } else { 0 })
+        Plane::from_fn(
+            self.width,
+            self.height,
+            |x, y| if self.at(x, y) { 255 } else { 0 },
+        )
     }
 
     /// Size in memory, bytes.
@@ -82,8 +93,8 @@ impl From<Mask> for CompactMask {
     }
 }
 
-/// A depth map that takes as little memory as where it came from: two bytes per pixel for one of 16-bit steps, four
-/// for floats. Both come back bit by bit.
+/// A depth map that takes as little memory as where it came from: two bytes per pixel for one of
+/// 16-bit steps, four for floats. Both come back bit by bit.
 #[derive(Debug, Clone)]
 pub struct CompactDepth(Values);
 
@@ -168,7 +179,8 @@ fn depth(steps: u16, unit: f64) -> f32 {
 
 /// A number per pixel, 0 for nothing in particular, held as runs of equal numbers.
 ///
-/// Things are large and smooth: a map takes some hundred bytes a thing where it would take two a pixel.
+/// Things are large and smooth: a map takes some hundred bytes a thing where it would take two a
+/// pixel.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct CompactIds {
     width: usize,
@@ -199,7 +211,10 @@ impl CompactIds {
     pub fn to_plane(&self) -> Plane<u16> {
         let mut out = Plane::filled(self.width, self.height, 0);
         for (k, &(first, id)) in self.runs.iter().enumerate() {
-            let end = self.runs.get(k + 1).map_or(self.width * self.height, |next| next.0 as usize);
+            let end = self
+                .runs
+                .get(k + 1)
+                .map_or(self.width * self.height, |next| next.0 as usize);
             out.data_mut()[first as usize..end].fill(id);
         }
         out
@@ -225,7 +240,11 @@ impl From<&Plane<u16>> for CompactIds {
                 runs.push((pixel as u32, id));
             }
         }
-        Self { width: ids.width(), height: ids.height(), runs }
+        Self {
+            width: ids.width(),
+            height: ids.height(),
+            runs,
+        }
     }
 }
 
@@ -236,13 +255,28 @@ mod tests {
 
     #[test]
     fn masks_of_every_size_round_trip() {
-        for (w, h) in [(0, 0), (0, 3), (1, 1), (63, 1), (64, 1), (13, 5), (16, 8), (129, 2)] {
-            let mask: Mask = Plane::from_fn(w, h, |x, y| if (x * x + 3 * y) % 5 < 2 { 255 } else { 0 });
+        for (w, h) in [
+            (0, 0),
+            (0, 3),
+            (1, 1),
+            (63, 1),
+            (64, 1),
+            (13, 5),
+            (16, 8),
+            (129, 2),
+        ] {
+            let mask: Mask =
+                Plane::from_fn(w, h, |x, y| if (x * x + 3 * y) % 5 < 2 { 255 } else { 0 });
             let held = CompactMask::from(&mask);
             assert_eq!((held.size(), held.to_mask()), ((w, h), mask.clone()));
             let set = mask.data().iter().filter(|&&m| m != 0).count();
-            assert_eq!((held.count(), held.bytes()), (set, (w * h).div_ceil(64) * 8));
-            let one_by_one = (0..w * h).map(|i| (i % w, i / w)).filter(|&(x, y)| held.at(x, y));
+            assert_eq!(
+                (held.count(), held.bytes()),
+                (set, (w * h).div_ceil(64) * 8)
+            );
+            let one_by_one = (0..w * h)
+                .map(|i| (i % w, i / w))
+                .filter(|&(x, y)| held.at(x, y));
             assert!(held.set_pixels().eq(one_by_one), "{w} x {h}");
         }
     }
@@ -250,9 +284,16 @@ mod tests {
     #[test]
     fn half_bright_is_set() {
         let held = CompactMask::from(Plane::from_vec(4, 1, vec![0, 127, 128, 255]).unwrap());
-        assert_eq!([0, 1, 2, 3].map(|x| held.at(x, 0)), [false, false, true, true]);
+        assert_eq!(
+            [0, 1, 2, 3].map(|x| held.at(x, 0)),
+            [false, false, true, true]
+        );
         assert_eq!(held, CompactMask::from_fn(4, 1, |x, _| x >= 2));
-        assert_ne!(held, CompactMask::from_fn(2, 2, |_, y| y == 1), "sizes count");
+        assert_ne!(
+            held,
+            CompactMask::from_fn(2, 2, |_, y| y == 1),
+            "sizes count"
+        );
     }
 
     const UNIT: f64 = 0.001_234_567;
@@ -277,7 +318,10 @@ mod tests {
                 assert!((0..7).all(|x| held.at(x, y) == map[(x, y)]));
             }
             let thirds: Vec<f32> = held.every(3).collect();
-            assert_eq!(thirds, map.data().iter().step_by(3).copied().collect::<Vec<_>>());
+            assert_eq!(
+                thirds,
+                map.data().iter().step_by(3).copied().collect::<Vec<_>>()
+            );
         }
     }
 
@@ -290,18 +334,38 @@ mod tests {
         let (steps, _) = both();
         let other = CompactDepth::from_steps(Plane::filled(5, 7, 0), UNIT);
         assert_ne!(steps, other, "sizes count");
-        assert_eq!(CompactDepth::from_steps(Plane::filled(0, 0, 0), UNIT).every(1).count(), 0);
+        assert_eq!(
+            CompactDepth::from_steps(Plane::filled(0, 0, 0), UNIT)
+                .every(1)
+                .count(),
+            0
+        );
     }
 
     #[test]
     fn id_maps_round_trip() {
         for (w, h) in [(0, 0), (0, 3), (1, 1), (7, 1), (13, 5), (64, 9)] {
-            let ids = Plane::from_fn(w, h, |x, y| if (x / 3 + y) % 4 < 2 { 0 } else { (300 * (x / 3)) as u16 });
+            let ids = Plane::from_fn(w, h, |x, y| {
+                if (x / 3 + y) % 4 < 2 {
+                    0
+                } else {
+                    (300 * (x / 3)) as u16
+                }
+            });
             let held = CompactIds::from(&ids);
             assert_eq!((held.size(), held.to_plane()), ((w, h), ids.clone()));
-            assert!((0..w * h).all(|i| held.at(i % w, i / w) == ids[(i % w, i / w)]), "{w} x {h}");
-            assert_eq!(held.largest(), ids.data().iter().copied().max().unwrap_or(0));
-            assert_eq!(held.to_mask().count(), ids.data().iter().filter(|&&id| id != 0).count());
+            assert!(
+                (0..w * h).all(|i| held.at(i % w, i / w) == ids[(i % w, i / w)]),
+                "{w} x {h}"
+            );
+            assert_eq!(
+                held.largest(),
+                ids.data().iter().copied().max().unwrap_or(0)
+            );
+            assert_eq!(
+                held.to_mask().count(),
+                ids.data().iter().filter(|&&id| id != 0).count()
+            );
         }
     }
 

@@ -1,4 +1,5 @@
-//! The types that stages exchange (splats in columns, cameras, frames, masks, depth), and their mathematics.
+//! The types that stages exchange (splats in columns, cameras, frames, masks, depth), and their
+//! mathematics.
 //!
 //! Every stage reads and writes these types and knows no other stage. Lengths are checked once,
 //! where a value is made ([`ShapeError`]); after that code may index.
@@ -9,10 +10,12 @@
 //! `u = fx x / z + cx - 0.5`), colours are sRGB values divided by 255, time is counted in *frames*
 //! of the training video (real-valued; frame `i` is at `t = i` when frames are evenly spaced).
 //!
-//! Vectors and matrices are those of [`nalgebra`], which is re-exported so that every crate uses the same release. What is ours is
-//! what splatting needs beside them, generic over f32 and f64: the scalar trait [`Real`], rigid motions with a left retraction
-//! ([`Se3`]), quaternions with their vector-Jacobian products ([`quat`]; stored `(w, x, y, z)`), rotor pairs for 4D rotations
-//! ([`rotor`]), and a random generator whose numbers depend on a key and not on the order of drawing ([`CounterRng`]).
+//! Vectors and matrices are those of [`nalgebra`], which is re-exported so that every crate uses
+//! the same release. What is ours is what splatting needs beside them, generic over f32 and f64:
+//! the scalar trait [`Real`], rigid motions with a left retraction ([`Se3`]), quaternions with
+//! their vector-Jacobian products ([`quat`]; stored `(w, x, y, z)`), rotor pairs for 4D rotations
+//! ([`rotor`]), and a random generator whose numbers depend on a key and not on the order of
+//! drawing ([`CounterRng`]).
 #![forbid(unsafe_code)]
 
 pub mod advice;

@@ -1,5 +1,6 @@
-//! Numbers written as one run of bytes, as they lie in memory: many times faster than one by one in formats that take a call for each.
-//! For files that stay on the machine: the order of the bytes is its own.
+//! Numbers written as one run of bytes, as they lie in memory: many times faster than one by one in
+//! formats that take a call for each. For files that stay on the machine: the order of the bytes is
+//! its own.
 
 use bytemuck::Pod;
 use serde::de::{Error, Visitor};
@@ -33,7 +34,10 @@ impl<'de, T: Pod> Deserialize<'de> for Unpacked<T> {
                 if !bytes.len().is_multiple_of(size_of::<T>()) {
                     return Err(E::invalid_length(bytes.len(), &self));
                 }
-                Ok(bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect())
+                Ok(bytes
+                    .chunks_exact(size_of::<T>())
+                    .map(bytemuck::pod_read_unaligned)
+                    .collect())
             }
         }
         from.deserialize_bytes(Bytes(PhantomData)).map(Self)
@@ -78,7 +82,9 @@ pub mod lists {
     /// # Errors
     ///
     /// Those of the format; bytes of no whole number of values.
-    pub fn deserialize<'de, T: Pod, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<T>>, D::Error> {
+    pub fn deserialize<'de, T: Pod, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<Vec<Vec<T>>, D::Error> {
         let lists = Vec::<Unpacked<T>>::deserialize(from)?;
         Ok(lists.into_iter().map(|list| list.0).collect())
     }

@@ -9,9 +9,17 @@ pub struct Plane<T> {
     data: Vec<T>,
 }
 
-/// The pixel of a plane of size `to` that covers the centre of pixel `(x, y)` of one of size `from`.
-pub fn covering((x, y): (usize, usize), from: (usize, usize), to: (usize, usize)) -> (usize, usize) {
-    ((2 * x + 1) * to.0 / (2 * from.0), (2 * y + 1) * to.1 / (2 * from.1))
+/// The pixel of a plane of size `to` that covers the centre of pixel `(x, y)` of one of size
+/// `from`.
+pub fn covering(
+    (x, y): (usize, usize),
+    from: (usize, usize),
+    to: (usize, usize),
+) -> (usize, usize) {
+    (
+        (2 * x + 1) * to.0 / (2 * from.0),
+        (2 * y + 1) * to.1 / (2 * from.1),
+    )
 }
 
 /// As it is written: its length is checked when it is read.
@@ -27,22 +35,37 @@ impl<T> TryFrom<Written<T>> for Plane<T> {
     type Error = ShapeError;
 
     fn try_from(written: Written<T>) -> Result<Self, ShapeError> {
-        ShapeError::check("plane", written.width.saturating_mul(written.height), written.data.len())?;
+        ShapeError::check(
+            "plane",
+            written.width.saturating_mul(written.height),
+            written.data.len(),
+        )?;
         Self::from_vec(written.width, written.height, written.data)
     }
 }
 
 impl<T> Plane<T> {
-    /// Takes `data`, `[height][width]`. Fails with [`ShapeError`] if `data` does not hold `width * height` values.
+    /// Takes `data`, `[height][width]`. Fails with [`ShapeError`] if `data` does not hold
+    /// `width * height` values.
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Result<Self, ShapeError> {
         ShapeError::check("plane", width * height, data.len())?;
-        Ok(Self { width, height, data })
+        Ok(Self {
+            width,
+            height,
+            data,
+        })
     }
 
     /// A plane whose value at column `x` of row `y` is `f(x, y)`.
     pub fn from_fn(width: usize, height: usize, mut f: impl FnMut(usize, usize) -> T) -> Self {
-        let data = (0..width * height).map(|i| f(i % width, i / width)).collect();
-        Self { width, height, data }
+        let data = (0..width * height)
+            .map(|i| f(i % width, i / width))
+            .collect();
+        Self {
+            width,
+            height,
+            data,
+        }
     }
 
     /// Columns.
@@ -88,14 +111,22 @@ impl<T> Plane<T> {
 
     /// The same shape with every value replaced by `f` of it.
     pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Plane<U> {
-        Plane { width: self.width, height: self.height, data: self.data.iter().map(f).collect() }
+        Plane {
+            width: self.width,
+            height: self.height,
+            data: self.data.iter().map(f).collect(),
+        }
     }
 }
 
 impl<T: Clone> Plane<T> {
     /// A plane of one value.
     pub fn filled(width: usize, height: usize, value: T) -> Self {
-        Self { width, height, data: vec![value; width * height] }
+        Self {
+            width,
+            height,
+            data: vec![value; width * height],
+        }
     }
 }
 
@@ -127,8 +158,17 @@ pub struct ShapeError {
 }
 
 impl ShapeError {
-    /// Fails unless `found == expected`. Fails with [`ShapeError`] naming `what` when the lengths differ.
+    /// Fails unless `found == expected`. Fails with [`ShapeError`] naming `what` when the lengths
+    /// differ.
     pub fn check(what: &'static str, expected: usize, found: usize) -> Result<(), Self> {
-        if found == expected { Ok(()) } else { Err(Self { what, expected, found }) }
+        if found == expected {
+            Ok(())
+        } else {
+            Err(Self {
+                what,
+                expected,
+                found,
+            })
+        }
     }
 }

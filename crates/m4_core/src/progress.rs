@@ -2,8 +2,9 @@
 
 /// Receives the progress of one stage. Implementations must be cheap: stages call them often.
 pub trait Progress: Sync {
-    /// `done` of `total` steps of `phase` are finished (both in units of the phase: frames, iterations).
-    /// `note` is a short figure for people, such as `"loss 0.031, 41,210 splats"`; it may be empty.
+    /// `done` of `total` steps of `phase` are finished (both in units of the phase: frames,
+    /// iterations). `note` is a short figure for people, such as `"loss 0.031, 41,210 splats"`; it
+    /// may be empty.
     fn update(&self, phase: &str, done: usize, total: usize, note: &str);
 
     /// Something that the user should know; reported once, kept in the run's record.

@@ -29,12 +29,19 @@ pub fn rotation_vjp<T: Real>(q: &Vector4<T>, g: &Matrix3<T>) -> Vector4<T> {
     let (w, x, y, z) = (n[0], n[1], n[2], n[3]);
     let two = T::of(2.0);
     let d = Vector4::new(
-        two * (-z * g[(0, 1)] + y * g[(0, 2)] + z * g[(1, 0)] - x * g[(1, 2)] - y * g[(2, 0)] + x * g[(2, 1)]),
-        two * (y * (g[(0, 1)] + g[(1, 0)]) + z * (g[(0, 2)] + g[(2, 0)]) + w * (g[(2, 1)] - g[(1, 2)])
+        two * (-z * g[(0, 1)] + y * g[(0, 2)] + z * g[(1, 0)] - x * g[(1, 2)] - y * g[(2, 0)]
+            + x * g[(2, 1)]),
+        two * (y * (g[(0, 1)] + g[(1, 0)])
+            + z * (g[(0, 2)] + g[(2, 0)])
+            + w * (g[(2, 1)] - g[(1, 2)])
             - two * x * (g[(1, 1)] + g[(2, 2)])),
-        two * (x * (g[(0, 1)] + g[(1, 0)]) + z * (g[(1, 2)] + g[(2, 1)]) + w * (g[(0, 2)] - g[(2, 0)])
+        two * (x * (g[(0, 1)] + g[(1, 0)])
+            + z * (g[(1, 2)] + g[(2, 1)])
+            + w * (g[(0, 2)] - g[(2, 0)])
             - two * y * (g[(0, 0)] + g[(2, 2)])),
-        two * (x * (g[(0, 2)] + g[(2, 0)]) + y * (g[(1, 2)] + g[(2, 1)]) + w * (g[(1, 0)] - g[(0, 1)])
+        two * (x * (g[(0, 2)] + g[(2, 0)])
+            + y * (g[(1, 2)] + g[(2, 1)])
+            + w * (g[(1, 0)] - g[(0, 1)])
             - two * z * (g[(0, 0)] + g[(1, 1)])),
     );
     (d - n * n.dot(&d)) / len
@@ -53,8 +60,13 @@ mod tests {
         for k in 0..4 {
             let mut step = Vector4::zeros();
             step[k] = 1e-6;
-            let want = ((rotation(&(q + step)) - rotation(&(q - step))).component_mul(&g)).sum() / 2e-6;
-            assert!((got[k] - want).abs() < 1e-8, "component {k}: {} where {want} was expected", got[k]);
+            let want =
+                ((rotation(&(q + step)) - rotation(&(q - step))).component_mul(&g)).sum() / 2e-6;
+            assert!(
+                (got[k] - want).abs() < 1e-8,
+                "component {k}: {} where {want} was expected",
+                got[k]
+            );
         }
     }
 }

@@ -44,7 +44,8 @@ impl Real for f64 {
     }
 }
 
-/// Returns the value of the nearest rank below which a share `q` (0..=1) of `values` lies; `None` if there are none. Reorders `values`.
+/// Returns the value of the nearest rank below which a share `q` (0..=1) of `values` lies; `None`
+/// if there are none. Reorders `values`.
 pub fn quantile<T: Real>(values: &mut [T], q: f64) -> Option<T> {
     let last = values.len().checked_sub(1)?;
     let rank = (q * last as f64).round() as usize;
@@ -63,7 +64,10 @@ mod tests {
     #[test]
     fn quantiles_are_values_of_the_nearest_rank() {
         let values = [4.0_f32, 1.0, 3.0, 2.0];
-        assert_eq!([0.0, 0.3, 0.9, 1.0].map(|q| quantile(&mut values.clone(), q)), [1.0, 2.0, 4.0, 4.0].map(Some));
+        assert_eq!(
+            [0.0, 0.3, 0.9, 1.0].map(|q| quantile(&mut values.clone(), q)),
+            [1.0, 2.0, 4.0, 4.0].map(Some)
+        );
         for n in 1..9 {
             let mut values: Vec<f64> = (0..n).rev().map(f64::from).collect();
             assert_eq!(median(&mut values), Some(f64::from(n / 2)), "{n}");

@@ -1,6 +1,7 @@
-//! Dilation of masks, and resizing of images as Pillow does it, which networks were trained with: the filter is as wide as a new pixel where images become
-//! smaller, works along rows and then along columns, and is rounded to bytes after each. In whole numbers, as Pillow's, so that
-//! the bytes are the same.
+//! Dilation of masks, and resizing of images as Pillow does it, which networks were trained with:
+//! the filter is as wide as a new pixel where images become smaller, works along rows and then
+//! along columns, and is rounded to bytes after each. In whole numbers, as Pillow's, so that the
+//! bytes are the same.
 
 use crate::{Plane, RgbImage};
 use rayon::prelude::*;
@@ -56,7 +57,13 @@ fn windows(filter: ResizeFilter, from: usize, to: usize) -> Vec<Window> {
         let weight = |j: usize| filter.weight((j as f64 + 0.5 - centre) / wide);
         let weights: Vec<f64> = (first..end).map(weight).collect();
         let sum: f64 = weights.iter().sum();
-        Window { first, weights: weights.iter().map(|w| (w / sum * one).round() as i32).collect() }
+        Window {
+            first,
+            weights: weights
+                .iter()
+                .map(|w| (w / sum * one).round() as i32)
+                .collect(),
+        }
     };
     (0..to).map(of).collect()
 }
@@ -73,7 +80,12 @@ fn mixed<'a>(weights: &[i32], pixels: impl Iterator<Item = &'a [u8; 3]>) -> [u8;
 }
 
 /// The image at `width` x `height` pixels; `None` if a side of the one or the other is zero.
-pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: ResizeFilter) -> Option<RgbImage> {
+pub fn resize_rgb(
+    image: &RgbImage,
+    width: usize,
+    height: usize,
+    filter: ResizeFilter,
+) -> Option<RgbImage> {
     if image.size() == (width, height) {
         return Some(image.clone());
     }
@@ -83,29 +95,35 @@ pub fn resize_rgb(image: &RgbImage, width: usize, height: usize, filter: ResizeF
     let narrow = along_rows(image, width, filter);
     let rows = windows(filter, image.height(), height);
     let mut out = Plane::filled(width, height, [0; 3]);
-    out.data_mut().par_chunks_mut(width).zip(&rows).for_each(|(out, window)| {
-        for (x, pixel) in out.iter_mut().enumerate() {
-            let above = (window.first..).map(|y| &narrow[(x, y)]);
-            *pixel = mixed(&window.weights, above);
-        }
-    });
+    out.data_mut()
+        .par_chunks_mut(width)
+        .zip(&rows)
+        .for_each(|(out, window)| {
+            for (x, pixel) in out.iter_mut().enumerate() {
+                let above = (window.first..).map(|y| &narrow[(x, y)]);
+                *pixel = mixed(&window.weights, above);
+            }
+        });
     Some(out)
 }
 
 fn along_rows(image: &RgbImage, width: usize, filter: ResizeFilter) -> RgbImage {
     let columns = windows(filter, image.width(), width);
     let mut out = Plane::filled(width, image.height(), [0; 3]);
-    out.data_mut().par_chunks_mut(width).enumerate().for_each(|(y, out)| {
-        let row = image.row(y);
-        for (pixel, window) in out.iter_mut().zip(&columns) {
-            *pixel = mixed(&window.weights, row[window.first..].iter());
-        }
-    });
+    out.data_mut()
+        .par_chunks_mut(width)
+        .enumerate()
+        .for_each(|(y, out)| {
+            let row = image.row(y);
+            for (pixel, window) in out.iter_mut().zip(&columns) {
+                *pixel = mixed(&window.weights, row[window.first..].iter());
+            }
+        });
     out
 }
 
-/// Returns the greatest value within `radius` pixels, in the larger of the two directions, of each pixel of a mask
-/// `[height][width]`: a dilation by a square of side `2 radius + 1`.
+/// Returns the greatest value within `radius` pixels, in the larger of the two directions, of each
+/// pixel of a mask `[height][width]`: a dilation by a square of side `2 radius + 1`.
 pub fn dilated<T: Copy + Ord>(mask: &[T], width: usize, height: usize, radius: usize) -> Vec<T> {
     let reach = |i: usize, n: usize| i.saturating_sub(radius)..(i + radius + 1).min(n);
     let mut rows = mask.to_vec();
@@ -132,7 +150,11 @@ mod tests {
 
     #[test]
     fn shrinking_averages_a_fine_checkerboard() {
-        let board = Plane::from_fn(64, 64, |x, y| if (x + y) % 2 == 0 { [255; 3] } else { [0; 3] });
+        let board = Plane::from_fn(
+            64,
+            64,
+            |x, y| if (x + y) % 2 == 0 { [255; 3] } else { [0; 3] },
+        );
         let small = resize_rgb(&board, 16, 16, ResizeFilter::Triangle).unwrap();
         assert_eq!(small.size(), (16, 16));
         assert!(small.data().iter().flatten().all(|v| v.abs_diff(127) <= 2));

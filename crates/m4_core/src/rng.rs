@@ -18,7 +18,8 @@ fn mix(mut z: u64) -> u64 {
 }
 
 impl CounterRng {
-    /// The stream of `seed`, `purpose` (what the numbers are for) and `index` (iteration, splat, ...).
+    /// The stream of `seed`, `purpose` (what the numbers are for) and `index` (iteration, splat,
+    /// ...).
     pub fn new(seed: u64, purpose: u64, index: u64) -> Self {
         let key = Self::base(seed, purpose).wrapping_add(mix(index ^ 0x517c_c1b7_2722_0a95));
         Self { key, counter: 0 }
@@ -32,7 +33,9 @@ impl CounterRng {
     /// 64 uniform bits.
     pub fn next_u64(&mut self) -> u64 {
         self.counter = self.counter.wrapping_add(1);
-        mix(self.key.wrapping_add(self.counter.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
+        mix(self
+            .key
+            .wrapping_add(self.counter.wrapping_mul(0x9e37_79b9_7f4a_7c15)))
     }
 
     /// Uniform in `[0, 1)`, 53 bits.
@@ -89,7 +92,11 @@ mod tests {
             flat += rng.uniform();
         }
         let n = f64::from(n);
-        assert!((sum / n).abs() < 0.02 && (square / n - 1.0).abs() < 0.03 && (flat / n - 0.5).abs() < 0.01);
+        assert!(
+            (sum / n).abs() < 0.02
+                && (square / n - 1.0).abs() < 0.03
+                && (flat / n - 0.5).abs() < 0.01
+        );
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! Pairs of unit quaternions as rotations of space-time (docs/spec/optimiser.md 1.2).
 //!
-//! A space-time vector in storage order `(x, y, z, t)` is the quaternion `t + x i + y j + z k`; the rotor pair `(l, r)`
-//! acts as `v -> l v conj(r)`. With `l == r` the time axis stays where it is and the rest is the spatial rotation of
-//! [`crate::quat`]; any other pair tilts the time axis, which is a velocity.
+//! A space-time vector in storage order `(x, y, z, t)` is the quaternion `t + x i + y j + z k`; the
+//! rotor pair `(l, r)` acts as `v -> l v conj(r)`. With `l == r` the time axis stays where it is
+//! and the rest is the spatial rotation of [`crate::quat`]; any other pair tilts the time axis,
+//! which is a velocity.
 
 use crate::Real;
 use nalgebra::{Matrix4, Vector4};
@@ -34,8 +35,13 @@ pub fn rotation<T: Real>(l: &Vector4<T>, r: &Vector4<T>) -> Matrix4<T> {
     to_storage_order(&(left(&l.normalize()) * right_conj(&r.normalize())))
 }
 
-/// Gradients with respect to the unnormalised `l` and `r`, given `g` with respect to [`rotation`]`(l, r)`.
-pub fn rotation_vjp<T: Real>(l: &Vector4<T>, r: &Vector4<T>, g: &Matrix4<T>) -> (Vector4<T>, Vector4<T>) {
+/// Gradients with respect to the unnormalised `l` and `r`, given `g` with respect to
+/// [`rotation`]`(l, r)`.
+pub fn rotation_vjp<T: Real>(
+    l: &Vector4<T>,
+    r: &Vector4<T>,
+    g: &Matrix4<T>,
+) -> (Vector4<T>, Vector4<T>) {
     let (l_unit, r_unit) = (l.normalize(), r.normalize());
     let g = to_quaternion_order(g);
     let g_left = g * right_conj(&r_unit).transpose();
@@ -47,7 +53,8 @@ pub fn rotation_vjp<T: Real>(l: &Vector4<T>, r: &Vector4<T>, g: &Matrix4<T>) -> 
     };
     let dl = Vector4::from_fn(|k, _| left(&unit(k)).dot(&g_left));
     let dr = Vector4::from_fn(|k, _| right_conj(&unit(k)).dot(&g_right));
-    let through_norm = |q: &Vector4<T>, unit: &Vector4<T>, d: Vector4<T>| (d - unit * unit.dot(&d)) / q.norm();
+    let through_norm =
+        |q: &Vector4<T>, unit: &Vector4<T>, d: Vector4<T>| (d - unit * unit.dot(&d)) / q.norm();
     (through_norm(l, &l_unit, dl), through_norm(r, &r_unit, dr))
 }
 
@@ -58,9 +65,15 @@ mod tests {
 
     #[test]
     fn a_pair_is_a_rotation_and_equal_quaternions_keep_time() {
-        let (l, r) = (Vector4::new(0.3, -1.0, 0.2, 0.8), Vector4::new(-0.5, 0.4, 0.9, 0.1));
+        let (l, r) = (
+            Vector4::new(0.3, -1.0, 0.2, 0.8),
+            Vector4::new(-0.5, 0.4, 0.9, 0.1),
+        );
         let m: Matrix4<f64> = rotation(&l, &r);
-        assert!((m * m.transpose() - Matrix4::identity()).norm() < 1e-12 && (m.determinant() - 1.0).abs() < 1e-12);
+        assert!(
+            (m * m.transpose() - Matrix4::identity()).norm() < 1e-12
+                && (m.determinant() - 1.0).abs() < 1e-12
+        );
         let space: Matrix4<f64> = rotation(&l, &l);
         assert!((space.fixed_view::<3, 3>(0, 0) - crate::quat::rotation(&l)).norm() < 1e-12);
         assert!((space[(3, 3)] - 1.0).abs() < 1e-12);
@@ -68,7 +81,10 @@ mod tests {
 
     #[test]
     fn vjp_matches_central_differences() {
-        let (l, r) = (Vector4::new(0.3, -1.0, 0.2, 0.8), Vector4::new(-0.5, 0.4, 0.9, 0.1));
+        let (l, r) = (
+            Vector4::new(0.3, -1.0, 0.2, 0.8),
+            Vector4::new(-0.5, 0.4, 0.9, 0.1),
+        );
         let g = Matrix4::from_fn(|i, j| (i as f64 * 1.7 + j as f64 * 0.9).sin());
         let (dl, dr) = rotation_vjp(&l, &r, &g);
         for k in 0..4 {

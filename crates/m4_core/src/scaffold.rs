@@ -1,15 +1,17 @@
-//! Motion that many splats share: the nodes of a window of time, and the splats bound to them (docs/spec/scaffold.md 1).
+//! Motion that many splats share: the nodes of a window of time, and the splats bound to them
+//! (docs/spec/scaffold.md 1).
 //!
-//! A [`Window`] knows the position and the rotation of its nodes at some instants, its *keys*. A splat that is bound to four nodes is stored as it is
-//! where no node has moved, and is carried by the weighted mean of their motions ([`Binding`]):
+//! A [`Window`] knows the position and the rotation of its nodes at some instants, its *keys*. A
+//! splat that is bound to four nodes is stored as it is where no node has moved, and is carried by
+//! the weighted mean of their motions ([`Binding`]):
 //!
 //! ```text
 //! A(t) = sum w_j R_j(t)      b(t) = sum w_j (x_j(t) - R_j(t) a_j)      q(t) = sum +-w_j r_j(t)
 //! m(t) = A (mean + velocity (t - time_mean)) + b                       Q(t) = q Q
 //! ```
 //!
-//! `a_j` is where node j is when it has not moved, `x_j` its position, `r_j` its rotation and `R_j` the same as a matrix. Signs bring the quaternions to
-//! the side of the first node's.
+//! `a_j` is where node j is when it has not moved, `x_j` its position, `r_j` its rotation and `R_j`
+//! the same as a matrix. Signs bring the quaternions to the side of the first node's.
 
 use crate::ShapeError;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -29,11 +31,17 @@ pub struct Pose {
 impl Pose {
     fn parts(&self) -> (Vector3<f32>, UnitQuaternion<f32>) {
         let [w, x, y, z] = self.rotation;
-        (self.position.into(), UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)))
+        (
+            self.position.into(),
+            UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)),
+        )
     }
 
     fn new(position: Vector3<f32>, rotation: UnitQuaternion<f32>) -> Self {
-        Self { position: position.into(), rotation: [rotation.w, rotation.i, rotation.j, rotation.k] }
+        Self {
+            position: position.into(),
+            rotation: [rotation.w, rotation.i, rotation.j, rotation.k],
+        }
     }
 }
 
@@ -59,13 +67,26 @@ pub struct Binding {
 }
 
 impl Window {
-    /// A window with `poses` `[keys][anchors]`; `keys` in frames, `anchors` (where nodes are when they have not moved) in world units.
-    /// Fails with [`ShapeError`] if there is no key, keys do not rise, or there are more or fewer poses.
-    pub fn new(keys: Vec<f32>, anchors: Vec<[f32; 3]>, poses: Vec<Pose>) -> Result<Self, ShapeError> {
+    /// A window with `poses` `[keys][anchors]`; `keys` in frames, `anchors` (where nodes are when
+    /// they have not moved) in world units. Fails with [`ShapeError`] if there is no key, keys do
+    /// not rise, or there are more or fewer poses.
+    pub fn new(
+        keys: Vec<f32>,
+        anchors: Vec<[f32; 3]>,
+        poses: Vec<Pose>,
+    ) -> Result<Self, ShapeError> {
         ShapeError::check("window: poses", keys.len() * anchors.len(), poses.len())?;
         let rising = 1 + keys.windows(2).take_while(|k| k[0] < k[1]).count();
-        ShapeError::check("window: rising keys", keys.len(), if keys.is_empty() { 1 } else { rising })?;
-        Ok(Self { keys, anchors, poses })
+        ShapeError::check(
+            "window: rising keys",
+            keys.len(),
+            if keys.is_empty() { 1 } else { rising },
+        )?;
+        Ok(Self {
+            keys,
+            anchors,
+            poses,
+        })
     }
 
     /// Instants at which poses are known, frames, rising; at least one.
@@ -104,8 +125,9 @@ impl Window {
 
     /// Where a node is at `t`, frames.
     ///
-    /// Between two keys a cubic through the positions, with the slopes of the parabolas through three keys, and the shortest turn between the
-    /// rotations; beyond the keys motion goes on as between the last two.
+    /// Between two keys a cubic through the positions, with the slopes of the parabolas through
+    /// three keys, and the shortest turn between the rotations; beyond the keys motion goes on as
+    /// between the last two.
     pub fn pose(&self, node: usize, t: f32) -> Pose {
         let last = self.keys.len() - 1;
         let before = self.keys.partition_point(|&key| key <= t).saturating_sub(1);
@@ -127,14 +149,19 @@ impl Window {
             0 => slope(0, 1),
             k if k == last => slope(last - 1, last),
             k => {
-                let (h, g) = (self.keys[k] - self.keys[k - 1], self.keys[k + 1] - self.keys[k]);
+                let (h, g) = (
+                    self.keys[k] - self.keys[k - 1],
+                    self.keys[k + 1] - self.keys[k],
+                );
                 (slope(k - 1, k) * g + slope(k, k + 1) * h) / (h + g)
             }
         };
         let (ma, mb) = (tangent(a) * gap, tangent(a + 1) * gap);
         let (s, s2, s3) = (share, share * share, share * share * share);
-        let position =
-            xa * (2.0 * s3 - 3.0 * s2 + 1.0) + ma * (s3 - 2.0 * s2 + s) + xb * (3.0 * s2 - 2.0 * s3) + mb * (s3 - s2);
+        let position = xa * (2.0 * s3 - 3.0 * s2 + 1.0)
+            + ma * (s3 - 2.0 * s2 + s)
+            + xb * (3.0 * s2 - 2.0 * s3)
+            + mb * (s3 - s2);
         Pose::new(position, rotation)
     }
 }
@@ -149,7 +176,10 @@ mod tests {
         let keys = vec![0.0, 1.0, 3.0, 4.0, 6.0];
         let pose = |&t: &f32| {
             let q = UnitQuaternion::from_scaled_axis(Vector3::z() * (0.2 * t));
-            Pose { position: place(t).into(), rotation: [q.w, q.i, q.j, q.k] }
+            Pose {
+                position: place(t).into(),
+                rotation: [q.w, q.i, q.j, q.k],
+            }
         };
         let poses = keys.iter().map(pose).collect();
         Window::new(keys, vec![[0.0; 3]], poses).unwrap()
@@ -163,7 +193,10 @@ mod tests {
         let pose = window.pose(0, t);
         let [w, x, y, z] = pose.rotation;
         let turn = 2.0 * (x * x + y * y + z * z).sqrt().atan2(w);
-        ((Vector3::from(pose.position) - place(t)).norm(), (turn - 0.2 * t).abs())
+        (
+            (Vector3::from(pose.position) - place(t)).norm(),
+            (turn - 0.2 * t).abs(),
+        )
     }
 
     #[test]
@@ -177,7 +210,10 @@ mod tests {
             let (place, turn) = off(&window, t);
             assert!(place < 1e-5 && turn < 1e-5, "at {t}: {place}, {turn}");
         }
-        assert!(off(&window, 5.0).0 < 0.31, "the last gap has one slope of two");
+        assert!(
+            off(&window, 5.0).0 < 0.31,
+            "the last gap has one slope of two"
+        );
         assert_eq!((window.key_at(2.0), window.gap()), (None, 1.5));
     }
 
@@ -196,7 +232,10 @@ mod tests {
 
     #[test]
     fn a_lone_key_stands_still_and_wrong_shapes_are_refused() {
-        let pose = Pose { position: [1.0, 2.0, 3.0], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let pose = Pose {
+            position: [1.0, 2.0, 3.0],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+        };
         let window = Window::new(vec![2.0], vec![[0.0; 3]], vec![pose]).unwrap();
         assert_eq!([window.pose(0, -5.0), window.pose(0, 9.0)], [pose; 2]);
         assert_eq!(window.gap(), 1.0);

@@ -17,7 +17,11 @@ pub struct Sim3 {
 impl Sim3 {
     /// The similarity that moves nothing.
     pub fn identity() -> Self {
-        Self { scale: 1.0, rotation: Matrix3::identity(), translation: Vector3::zeros() }
+        Self {
+            scale: 1.0,
+            rotation: Matrix3::identity(),
+            translation: Vector3::zeros(),
+        }
     }
 
     /// The similarity that minimises `sum |target - S(source)|^2` (Umeyama 1991, equations 34-42).
@@ -56,7 +60,11 @@ impl Sim3 {
         if !(scale.is_finite() && scale > 0.0) {
             return None;
         }
-        Some(Self { scale, rotation, translation: mean_target - rotation * mean_source * scale })
+        Some(Self {
+            scale,
+            rotation,
+            translation: mean_target - rotation * mean_source * scale,
+        })
     }
 
     /// The image of a point.
@@ -67,13 +75,20 @@ impl Sim3 {
     /// The image of a camera-to-world pose: its centre is moved, its axes are turned. Depths seen
     /// from the camera must be multiplied by [`Self::scale`].
     pub fn transform_pose(&self, c2w: &Se3<f64>) -> Se3<f64> {
-        Se3 { rotation: self.rotation * c2w.rotation, translation: self.transform(&c2w.translation) }
+        Se3 {
+            rotation: self.rotation * c2w.rotation,
+            translation: self.transform(&c2w.translation),
+        }
     }
 
     /// The similarity that undoes this one.
     pub fn inverse(&self) -> Self {
         let (rotation, scale) = (self.rotation.transpose(), 1.0 / self.scale);
-        Self { scale, rotation, translation: -(rotation * self.translation * scale) }
+        Self {
+            scale,
+            rotation,
+            translation: -(rotation * self.translation * scale),
+        }
     }
 }
 
@@ -86,12 +101,22 @@ mod tests {
     fn cloud() -> Vec<Vector3<f64>> {
         (0..12)
             .map(f64::from)
-            .map(|i| Vector3::new((i * 1.3).sin(), (i * 0.7).cos() * 2.0, (i * 2.1).sin() - 0.4 * i))
+            .map(|i| {
+                Vector3::new(
+                    (i * 1.3).sin(),
+                    (i * 0.7).cos() * 2.0,
+                    (i * 2.1).sin() - 0.4 * i,
+                )
+            })
             .collect()
     }
 
     fn some() -> Sim3 {
-        Sim3 { scale: 2.7, rotation: exp_so3(&Vector3::new(0.4, -1.1, 2.0)), translation: Vector3::new(3.0, -1.0, 0.5) }
+        Sim3 {
+            scale: 2.7,
+            rotation: exp_so3(&Vector3::new(0.4, -1.1, 2.0)),
+            translation: Vector3::new(3.0, -1.0, 0.5),
+        }
     }
 
     #[test]
@@ -99,14 +124,19 @@ mod tests {
         let (source, want) = (cloud(), some());
         let target: Vec<_> = source.iter().map(|x| want.transform(x)).collect();
         let got = Sim3::umeyama(&source, &target).expect("points with extent");
-        assert!((got.scale - want.scale).abs() < 1e-12 && (got.rotation - want.rotation).norm() < 1e-12);
+        assert!(
+            (got.scale - want.scale).abs() < 1e-12 && (got.rotation - want.rotation).norm() < 1e-12
+        );
         assert!((got.translation - want.translation).norm() < 1e-12);
     }
 
     #[test]
     fn reflections_give_a_rotation() {
         let source = cloud();
-        let target: Vec<_> = source.iter().map(|x| Vector3::new(-x.x, x.y, x.z)).collect();
+        let target: Vec<_> = source
+            .iter()
+            .map(|x| Vector3::new(-x.x, x.y, x.z))
+            .collect();
         let got = Sim3::umeyama(&source, &target).expect("points with extent");
         assert!((got.rotation.determinant() - 1.0).abs() < 1e-12 && got.scale > 0.0);
     }
@@ -115,10 +145,16 @@ mod tests {
     fn the_fit_is_the_minimum() {
         let source = cloud();
         let target: Vec<_> = (0..source.len())
-            .map(|i| some().transform(&source[i]) + Vector3::new((i as f64 * 3.1).sin(), 0.2, (i as f64).cos()) * 0.3)
+            .map(|i| {
+                some().transform(&source[i])
+                    + Vector3::new((i as f64 * 3.1).sin(), 0.2, (i as f64).cos()) * 0.3
+            })
             .collect();
         let cost = |s: &Sim3| {
-            let errors = source.iter().zip(&target).map(|(a, b)| (s.transform(a) - b).norm_squared());
+            let errors = source
+                .iter()
+                .zip(&target)
+                .map(|(a, b)| (s.transform(a) - b).norm_squared());
             errors.sum::<f64>()
         };
         let best = Sim3::umeyama(&source, &target).expect("points with extent");
@@ -126,9 +162,18 @@ mod tests {
             for h in [-1e-3, 1e-3] {
                 let mut step = Vector3::zeros();
                 step[k] = h;
-                let turned = Sim3 { rotation: exp_so3(&step) * best.rotation, ..best };
-                let moved = Sim3 { translation: best.translation + step, ..best };
-                let scaled = Sim3 { scale: best.scale * (1.0 + h), ..best };
+                let turned = Sim3 {
+                    rotation: exp_so3(&step) * best.rotation,
+                    ..best
+                };
+                let moved = Sim3 {
+                    translation: best.translation + step,
+                    ..best
+                };
+                let scaled = Sim3 {
+                    scale: best.scale * (1.0 + h),
+                    ..best
+                };
                 for other in [turned, moved, scaled] {
                     assert!(cost(&other) > cost(&best));
                 }
@@ -150,9 +195,14 @@ mod tests {
     fn inverse_and_poses_agree_with_points() {
         let (s, x) = (some(), Vector3::new(0.3, -2.0, 1.0));
         assert!((s.inverse().transform(&s.transform(&x)) - x).norm() < 1e-12);
-        let pose = Se3 { rotation: exp_so3(&Vector3::new(0.1, 0.9, -0.3)), translation: Vector3::new(1.0, 0.0, 2.0) };
+        let pose = Se3 {
+            rotation: exp_so3(&Vector3::new(0.1, 0.9, -0.3)),
+            translation: Vector3::new(1.0, 0.0, 2.0),
+        };
         // A point at camera coordinates c is seen at s.scale * c after the similarity.
         let (c, moved) = (Vector3::new(0.2, 0.1, 4.0), s.transform_pose(&pose));
-        assert!((moved.transform(&(c * s.scale)) - s.transform(&pose.transform(&c))).norm() < 1e-12);
+        assert!(
+            (moved.transform(&(c * s.scale)) - s.transform(&pose.transform(&c))).norm() < 1e-12
+        );
     }
 }

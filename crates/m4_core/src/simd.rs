@@ -38,13 +38,17 @@ impl SimdLevel {
         Self(Level::new())
     }
 
-    /// The level of that [`name`](Self::name). Fails with [`SimdLevelError`] if this machine does not have it.
+    /// The level of that [`name`](Self::name). Fails with [`SimdLevelError`] if this machine does
+    /// not have it.
     pub fn named(name: &str) -> Result<Self, SimdLevelError> {
         let all = Self::available();
         all.iter()
             .find(|l| l.name().eq_ignore_ascii_case(name))
             .copied()
-            .ok_or_else(|| SimdLevelError { asked: name.to_owned(), available: all.iter().map(|l| l.name()).collect() })
+            .ok_or_else(|| SimdLevelError {
+                asked: name.to_owned(),
+                available: all.iter().map(|l| l.name()).collect(),
+            })
     }
 
     /// Every level that this machine has, the baseline of its architecture first.
@@ -55,7 +59,11 @@ impl SimdLevel {
             let sse2 = best.as_sse2().map(|t| t.level());
             let avx2 = best.as_avx2().map(|t| t.level());
             let avx512 = best.as_avx512().map(|t| t.level());
-            [sse2, avx2, avx512].into_iter().flatten().map(Self).collect()
+            [sse2, avx2, avx512]
+                .into_iter()
+                .flatten()
+                .map(Self)
+                .collect()
         }
         #[cfg(not(target_arch = "x86_64"))]
         {
@@ -95,9 +103,9 @@ impl SimdLevel {
     }
 }
 
-/// `dispatch!(level, s => f(s, ..))` compiles the call for each level that has a name and runs that of
-/// `level`. Unlike `fearless_simd`'s it has no version for SSE4.2: processors without AVX2 are rare,
-/// and every version costs compile time.
+/// `dispatch!(level, s => f(s, ..))` compiles the call for each level that has a name and runs that
+/// of `level`. Unlike `fearless_simd`'s it has no version for SSE4.2: processors without AVX2 are
+/// rare, and every version costs compile time.
 #[cfg(target_arch = "x86_64")]
 #[macro_export]
 macro_rules! dispatch {

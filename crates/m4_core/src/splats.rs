@@ -1,16 +1,16 @@
 //! 4D Gaussians in columns.
 //!
-//! A splat is *static* (it has no time parameters at all) or *dynamic*: then it also has a middle of
-//! its life, a duration and a velocity (docs/spec/optimiser.md 1.4):
+//! A splat is *static* (it has no time parameters at all) or *dynamic*: then it also has a middle
+//! of its life, a duration and a velocity (docs/spec/optimiser.md 1.4):
 //!
 //! ```text
 //! m(t) = mean + velocity (t - time_mean)          S = Q diag(exp(2 log_scale)) Q^T
 //! p(t) = exp(-(t - time_mean)^2 / (2 exp(2 log_time_sd)))      opacity(t) = sigmoid(opacity) p(t)
 //! ```
 //!
-//! Rows `0..n_static` are static, the dynamic rows follow: first those that are bound to nodes, which carry them
-//! ([`Binding`]), then free ones. Every column is one `Vec<f32>`, so a
-//! kernel streams what it needs and a re-ordering is the same gather for each column.
+//! Rows `0..n_static` are static, the dynamic rows follow: first those that are bound to nodes,
+//! which carry them ([`Binding`]), then free ones. Every column is one `Vec<f32>`, so a kernel
+//! streams what it needs and a re-ordering is the same gather for each column.
 
 mod bound;
 
@@ -92,7 +92,8 @@ pub enum Column {
     Quat,
     /// 1 column: logit of the opacity.
     Opacity,
-    /// 3 x `colour_terms` columns, index `3 * term + channel`, `term = temporal * sh_terms + spatial`.
+    /// 3 x `colour_terms` columns, index `3 * term + channel`,
+    /// `term = temporal * sh_terms + spatial`.
     Colour,
     /// 1 column, dynamic: the middle of the splat's life, frames.
     TimeMean,
@@ -143,9 +144,25 @@ impl Splats {
     pub fn zeros(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Self {
         let shared = layout.shared_columns();
         let columns = (0..layout.columns())
-            .map(|c| vec![0.0; if c < shared { n_static + n_dynamic } else { n_dynamic }])
+            .map(|c| {
+                vec![
+                    0.0;
+                    if c < shared {
+                        n_static + n_dynamic
+                    } else {
+                        n_dynamic
+                    }
+                ]
+            })
             .collect();
-        Self { layout, n_static, n_dynamic, columns, bindings: Vec::new(), windows: Arc::default() }
+        Self {
+            layout,
+            n_static,
+            n_dynamic,
+            columns,
+            bindings: Vec::new(),
+            windows: Arc::default(),
+        }
     }
 
     /// Takes columns in the order of [`SplatLayout::column`].
@@ -159,10 +176,21 @@ impl Splats {
         ShapeError::check("columns", layout.columns(), columns.len())?;
         let shared = layout.shared_columns();
         for (c, column) in columns.iter().enumerate() {
-            let expected = if c < shared { n_static + n_dynamic } else { n_dynamic };
+            let expected = if c < shared {
+                n_static + n_dynamic
+            } else {
+                n_dynamic
+            };
             ShapeError::check("column", expected, column.len())?;
         }
-        Ok(Self { layout, n_static, n_dynamic, columns, bindings: Vec::new(), windows: Arc::default() })
+        Ok(Self {
+            layout,
+            n_static,
+            n_dynamic,
+            columns,
+            bindings: Vec::new(),
+            windows: Arc::default(),
+        })
     }
 
     /// Which columns there are.
@@ -180,7 +208,8 @@ impl Splats {
         self.n_static
     }
 
-    /// Number of splats with time parameters: row `i` of a time column is row `n_static + i` of the others.
+    /// Number of splats with time parameters: row `i` of a time column is row `n_static + i` of the
+    /// others.
     pub fn n_dynamic(&self) -> usize {
         self.n_dynamic
     }
@@ -205,8 +234,9 @@ impl Splats {
         &mut self.columns[self.layout.column(column) + offset]
     }
 
-    /// The rows named, in that order; a row may be named more than once. Static rows must come first.
-    /// Fails with [`ShapeError`] if a row does not exist or a static row follows a dynamic one.
+    /// The rows named, in that order; a row may be named more than once. Static rows must come
+    /// first. Fails with [`ShapeError`] if a row does not exist or a static row follows a dynamic
+    /// one.
     pub fn gather(&self, rows: &[u32]) -> Result<Self, ShapeError> {
         let (n_static, n_dynamic) = self.check_rows(rows)?;
         let mut columns = Vec::with_capacity(self.columns.len());
@@ -216,11 +246,18 @@ impl Splats {
             columns.push(gathered);
         }
         let bindings = self.gather_bindings(rows);
-        Ok(Self { layout: self.layout, n_static, n_dynamic, columns, bindings, windows: self.windows.clone() })
+        Ok(Self {
+            layout: self.layout,
+            n_static,
+            n_dynamic,
+            columns,
+            bindings,
+            windows: self.windows.clone(),
+        })
     }
 
-    /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more column instead
-    /// of all. Fails as [`gather`](Self::gather); nothing is changed then.
+    /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one
+    /// more column instead of all. Fails as [`gather`](Self::gather); nothing is changed then.
     pub fn rearrange(&mut self, rows: &[u32]) -> Result<(), ShapeError> {
         let (n_static, n_dynamic) = self.check_rows(rows)?;
         let mut columns = std::mem::take(&mut self.columns);
@@ -237,31 +274,58 @@ impl Splats {
 
     /// Number of static and of dynamic rows among those named.
     fn check_rows(&self, rows: &[u32]) -> Result<(usize, usize), ShapeError> {
-        let n_static = rows.iter().take_while(|&&r| (r as usize) < self.n_static).count();
-        let free = rows[n_static..].iter().skip_while(|&&r| self.bound().contains(&(r as usize)));
-        if let Some(&r) = free.clone().find(|&&r| self.bound().contains(&(r as usize))) {
-            return Err(ShapeError { what: "gather: bound row", expected: self.n(), found: r as usize });
+        let n_static = rows
+            .iter()
+            .take_while(|&&r| (r as usize) < self.n_static)
+            .count();
+        let free = rows[n_static..]
+            .iter()
+            .skip_while(|&&r| self.bound().contains(&(r as usize)));
+        if let Some(&r) = free
+            .clone()
+            .find(|&&r| self.bound().contains(&(r as usize)))
+        {
+            return Err(ShapeError {
+                what: "gather: bound row",
+                expected: self.n(),
+                found: r as usize,
+            });
         }
         for &r in &rows[n_static..] {
             if (r as usize) < self.n_static || r as usize >= self.n() {
-                return Err(ShapeError { what: "gather: row", expected: self.n(), found: r as usize });
+                return Err(ShapeError {
+                    what: "gather: row",
+                    expected: self.n(),
+                    found: r as usize,
+                });
             }
         }
         Ok((n_static, rows.len() - n_static))
     }
 
     /// Fills `out` with the rows named of column `c`.
-    fn gather_column(&self, rows: &[u32], n_static: usize, c: usize, column: &[f32], out: &mut Vec<f32>) {
+    fn gather_column(
+        &self,
+        rows: &[u32],
+        n_static: usize,
+        c: usize,
+        column: &[f32],
+        out: &mut Vec<f32>,
+    ) {
         out.clear();
         if c < self.layout.shared_columns() {
             out.extend(rows.iter().map(|&r| column[r as usize]));
         } else {
-            out.extend(rows[n_static..].iter().map(|&r| column[r as usize - self.n_static]));
+            out.extend(
+                rows[n_static..]
+                    .iter()
+                    .map(|&r| column[r as usize - self.n_static]),
+            );
         }
     }
 
-    /// Has at least these degrees of the harmonics of the colour from here on; coefficients that are added are 0, so that nothing looks
-    /// different.
+    /// Has at least these degrees of the harmonics of the colour from here on; coefficients that
+    /// are added are 0, so that nothing looks different.
     pub fn raise_degrees(&mut self, sh_degree: usize, time_degree: usize) {
         let (old, n) = (self.layout, self.n());
         let new = SplatLayout {
@@ -275,7 +339,11 @@ impl Splats {
             let (temporal, spatial) = (term / new.sh_terms(), term % new.sh_terms());
             let exists = temporal <= old.time_degree && spatial < old.sh_terms();
             for _ in 0..3 {
-                columns.extend(if exists { rest.next() } else { Some(vec![0.0; n]) });
+                columns.extend(if exists {
+                    rest.next()
+                } else {
+                    Some(vec![0.0; n])
+                });
             }
         }
         columns.extend(rest);
@@ -297,7 +365,11 @@ mod tests {
         for isotropic in [false, true] {
             for sh_degree in 0..=3 {
                 for time_degree in 0..=2 {
-                    let layout = SplatLayout { isotropic, sh_degree, time_degree };
+                    let layout = SplatLayout {
+                        isotropic,
+                        sh_degree,
+                        time_degree,
+                    };
                     let order = [
                         Column::Mean,
                         Column::LogScale,
@@ -322,7 +394,11 @@ mod tests {
 
     #[test]
     fn raised_degrees_keep_every_coefficient() {
-        let start = SplatLayout { isotropic: true, sh_degree: 1, time_degree: 0 };
+        let start = SplatLayout {
+            isotropic: true,
+            sh_degree: 1,
+            time_degree: 0,
+        };
         let mut splats = Splats::zeros(start, 1, 1);
         for (value, column) in splats.columns_mut().enumerate() {
             column.fill(1.0 + value as f32);
@@ -331,17 +407,33 @@ mod tests {
         splats.raise_degrees(0, 0);
         assert_eq!(splats, before);
         splats.raise_degrees(2, 1);
-        let layout = SplatLayout { sh_degree: 2, time_degree: 1, ..start };
+        let layout = SplatLayout {
+            sh_degree: 2,
+            time_degree: 1,
+            ..start
+        };
         assert_eq!(splats.layout(), layout);
         let columns = splats.columns().to_vec();
-        assert_eq!(Splats::from_columns(layout, 1, 1, columns), Ok(splats.clone()), "columns have their lengths");
+        assert_eq!(
+            Splats::from_columns(layout, 1, 1, columns),
+            Ok(splats.clone()),
+            "columns have their lengths"
+        );
         for c in 0..3 * 4 {
-            assert_eq!(splats.column(Column::Colour, c), before.column(Column::Colour, c));
+            assert_eq!(
+                splats.column(Column::Colour, c),
+                before.column(Column::Colour, c)
+            );
         }
         for c in 3 * 4..3 * 18 {
             assert_eq!(splats.column(Column::Colour, c), [0.0, 0.0]);
         }
-        for column in [Column::Mean, Column::Opacity, Column::TimeMean, Column::Velocity] {
+        for column in [
+            Column::Mean,
+            Column::Opacity,
+            Column::TimeMean,
+            Column::Velocity,
+        ] {
             assert_eq!(splats.column(column, 0), before.column(column, 0));
         }
         // the index of time is major: terms of direction that are added now lie between the others
@@ -353,10 +445,18 @@ mod tests {
 
     #[test]
     fn gather_keeps_static_rows_first() {
-        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
         let mut splats = Splats::zeros(layout, 2, 2);
-        splats.column_mut(Column::Opacity, 0).copy_from_slice(&[0.0, 1.0, 2.0, 3.0]);
-        splats.column_mut(Column::TimeMean, 0).copy_from_slice(&[20.0, 30.0]);
+        splats
+            .column_mut(Column::Opacity, 0)
+            .copy_from_slice(&[0.0, 1.0, 2.0, 3.0]);
+        splats
+            .column_mut(Column::TimeMean, 0)
+            .copy_from_slice(&[20.0, 30.0]);
         let picked = splats.gather(&[1, 3, 3]).unwrap();
         assert_eq!((picked.n_static(), picked.n_dynamic()), (1, 2));
         assert_eq!(picked.column(Column::Opacity, 0), &[1.0, 3.0, 3.0]);

@@ -1,12 +1,14 @@
-//! Trajectories of points on dynamic objects through a clip: what a tracker hands to the initialisation.
+//! Trajectories of points on dynamic objects through a clip: what a tracker hands to the
+//! initialisation.
 
 use crate::ShapeError;
 
-/// Points followed through the frames of a [`Capture`](crate::Capture): frame `i` of the tracks is frame `i` of the capture.
+/// Points followed through the frames of a [`Capture`](crate::Capture): frame `i` of the tracks is
+/// frame `i` of the capture.
 ///
-/// Places are world units, in the world of the cameras; one that is not known is NaN. A place can be known where the
-/// point was not seen (behind something, or out of the image), never the other way round in what
-/// [`Tracks::new`] accepts.
+/// Places are world units, in the world of the cameras; one that is not known is NaN. A place can
+/// be known where the point was not seen (behind something, or out of the image), never the other
+/// way round in what [`Tracks::new`] accepts.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "Written")]
 pub struct Tracks {
@@ -52,37 +54,61 @@ impl TryFrom<Written> for Tracks {
 }
 
 impl Tracks {
-    /// `count` tracks over `frames` frames: places `[frames][count]` and whether the point was seen there, `[frames][count]`.
-    /// Places that are not known, in whole or in part, count as not seen.
+    /// `count` tracks over `frames` frames: places `[frames][count]` and whether the point was seen
+    /// there, `[frames][count]`. Places that are not known, in whole or in part, count as not seen.
     /// Fails with [`ShapeError`] when a length is not `frames * count`.
-    pub fn new(frames: usize, count: usize, xyz: Vec<[f32; 3]>, mut visible: Vec<bool>) -> Result<Self, ShapeError> {
+    pub fn new(
+        frames: usize,
+        count: usize,
+        xyz: Vec<[f32; 3]>,
+        mut visible: Vec<bool>,
+    ) -> Result<Self, ShapeError> {
         let expected = frames.saturating_mul(count);
         ShapeError::check("places of tracks", expected, xyz.len())?;
         ShapeError::check("visibility of tracks", expected, visible.len())?;
         for (visible, p) in visible.iter_mut().zip(&xyz) {
             *visible &= is_known(*p);
         }
-        Ok(Self { frames, count, xyz, visible, rgb: None, confidence: None })
+        Ok(Self {
+            frames,
+            count,
+            xyz,
+            visible,
+            rgb: None,
+            confidence: None,
+        })
     }
 
-    /// The same with a colour per track, sRGB. Fails with [`ShapeError`] when there is not one per track.
+    /// The same with a colour per track, sRGB. Fails with [`ShapeError`] when there is not one per
+    /// track.
     pub fn with_colours(self, rgb: Vec<[u8; 3]>) -> Result<Self, ShapeError> {
         ShapeError::check("colours of tracks", self.count, rgb.len())?;
-        Ok(Self { rgb: Some(rgb), ..self })
+        Ok(Self {
+            rgb: Some(rgb),
+            ..self
+        })
     }
 
-    /// The same with the confidence of each position, 0..1, `[frames][count]`, stored in steps of 1/255; NaN counts as 0.
-    /// Fails with [`ShapeError`] when there is not one per place.
+    /// The same with the confidence of each position, 0..1, `[frames][count]`, stored in steps of
+    /// 1/255; NaN counts as 0. Fails with [`ShapeError`] when there is not one per place.
     pub fn with_confidence(self, confidence: &[f32]) -> Result<Self, ShapeError> {
         // a NaN becomes 0 in the cast
-        self.with_confidence_steps(confidence.iter().map(|c| (255.0 * c).round() as u8).collect())
+        self.with_confidence_steps(
+            confidence
+                .iter()
+                .map(|c| (255.0 * c).round() as u8)
+                .collect(),
+        )
     }
 
     /// The same with the confidence of each position, `[frames][count]`, 0 to 255.
     /// Fails with [`ShapeError`] when there is not one per place.
     pub fn with_confidence_steps(self, steps: Vec<u8>) -> Result<Self, ShapeError> {
         ShapeError::check("confidence of tracks", self.xyz.len(), steps.len())?;
-        Ok(Self { confidence: Some(steps), ..self })
+        Ok(Self {
+            confidence: Some(steps),
+            ..self
+        })
     }
 
     /// Number of frames.
@@ -110,8 +136,8 @@ impl Tracks {
         self.rgb.as_deref()
     }
 
-    /// Confidence of the position of a track in a frame, 0..1; without confidence from the tracker, 1 where the point was visible and
-    /// else 0.
+    /// Confidence of the position of a track in a frame, 0..1; without confidence from the tracker,
+    /// 1 where the point was visible and else 0.
     pub fn confidence(&self, frame: usize, track: usize) -> f32 {
         if frame >= self.frames || track >= self.count {
             return 0.0;
@@ -128,7 +154,8 @@ impl Tracks {
         self.confidence.as_deref()
     }
 
-    /// Position of a track in a frame; `None` where it is unknown, or beyond the last frame or track.
+    /// Position of a track in a frame; `None` where it is unknown, or beyond the last frame or
+    /// track.
     pub fn place(&self, frame: usize, track: usize) -> Option<[f32; 3]> {
         if frame >= self.frames || track >= self.count {
             return None;
@@ -145,23 +172,35 @@ impl Tracks {
         self
     }
 
-    /// The same tracks over frames in another order: frame `i` of the result is frame `order[i]` of these.
-    /// Fails with [`ShapeError`] when `order` names a frame that is missing.
+    /// The same tracks over frames in another order: frame `i` of the result is frame `order[i]` of
+    /// these. Fails with [`ShapeError`] when `order` names a frame that is missing.
     pub fn in_order(&self, order: &[usize]) -> Result<Self, ShapeError> {
         if let Some(&frame) = order.iter().find(|&&i| i >= self.frames) {
-            return Err(ShapeError { what: "frames of tracks", expected: self.frames, found: frame + 1 });
+            return Err(ShapeError {
+                what: "frames of tracks",
+                expected: self.frames,
+                found: frame + 1,
+            });
         }
         let row = |i: usize| i * self.count..(i + 1) * self.count;
         Ok(Self {
             frames: order.len(),
             count: self.count,
-            xyz: order.iter().flat_map(|&i| self.xyz[row(i)].iter().copied()).collect(),
-            visible: order.iter().flat_map(|&i| self.visible[row(i)].iter().copied()).collect(),
+            xyz: order
+                .iter()
+                .flat_map(|&i| self.xyz[row(i)].iter().copied())
+                .collect(),
+            visible: order
+                .iter()
+                .flat_map(|&i| self.visible[row(i)].iter().copied())
+                .collect(),
             rgb: self.rgb.clone(),
-            confidence: self
-                .confidence
-                .as_ref()
-                .map(|c| order.iter().flat_map(|&i| c[row(i)].iter().copied()).collect()),
+            confidence: self.confidence.as_ref().map(|c| {
+                order
+                    .iter()
+                    .flat_map(|&i| c[row(i)].iter().copied())
+                    .collect()
+            }),
         })
     }
 }
@@ -187,7 +226,11 @@ mod tests {
         assert_eq!(tracks.visible(), [true, false, false, true]);
         assert_eq!(tracks.place(0, 0), Some([1.0, 2.0, 3.0]));
         assert_eq!(tracks.place(0, 1), None);
-        assert_eq!(tracks.place(1, 0), Some([4.0, 5.0, 6.0]), "known though not seen");
+        assert_eq!(
+            tracks.place(1, 0),
+            Some([4.0, 5.0, 6.0]),
+            "known though not seen"
+        );
         assert_eq!(tracks.place(2, 0), None);
         assert_eq!(tracks.place(0, 2), None);
     }
@@ -203,11 +246,20 @@ mod tests {
     #[test]
     fn confidence_defaults_to_visibility() {
         let tracks = made();
-        assert_eq!([tracks.confidence(0, 0), tracks.confidence(1, 0)], [1.0, 0.0]);
+        assert_eq!(
+            [tracks.confidence(0, 0), tracks.confidence(1, 0)],
+            [1.0, 0.0]
+        );
         let told = tracks.with_confidence(&[0.8, f32::NAN, 0.4, 7.0]).unwrap();
         let turned = told.in_order(&[1, 0]).unwrap();
-        assert_eq!([turned.confidence(0, 0), turned.confidence(0, 1)], [0.4, 1.0]);
-        assert_eq!([turned.confidence(1, 1), turned.confidence(2, 0)], [0.0, 0.0]);
+        assert_eq!(
+            [turned.confidence(0, 0), turned.confidence(0, 1)],
+            [0.4, 1.0]
+        );
+        assert_eq!(
+            [turned.confidence(1, 1), turned.confidence(2, 0)],
+            [0.0, 0.0]
+        );
         assert!(made().with_confidence(&[1.0; 3]).is_err());
     }
 

@@ -30,8 +30,11 @@ impl<'a> Warp<'a> {
     #[must_use]
     pub fn new(capture: &'a Capture) -> Self {
         let frames: Vec<&CaptureFrame> = training(capture).collect();
-        let fixed: Vec<Point> =
-            frames.iter().step_by(frames.len().div_ceil(STATIC_FRAMES).max(1)).flat_map(|f| points(f, false)).collect();
+        let fixed: Vec<Point> = frames
+            .iter()
+            .step_by(frames.len().div_ceil(STATIC_FRAMES).max(1))
+            .flat_map(|f| points(f, false))
+            .collect();
         let mut depths: Vec<f32> = frames
             .iter()
             .take(1)
@@ -40,13 +43,19 @@ impl<'a> Warp<'a> {
             .filter(|z| *z > 0.0)
             .collect();
         let near = NEAR_SHARE * m4_core::median(&mut depths).unwrap_or(0.0);
-        Self { capture, fixed, near }
+        Self {
+            capture,
+            fixed,
+            near,
+        }
     }
 
     /// The image of a camera in the world of the capture, at `share` (0 to 1) of the clip.
     #[must_use]
     pub fn view(&self, camera: &Camera, share: f64) -> RgbImage {
-        let dynamic = nearest(self.capture, share).map(|f| points(f, true)).unwrap_or_default();
+        let dynamic = nearest(self.capture, share)
+            .map(|f| points(f, true))
+            .unwrap_or_default();
         draw(camera, self.fixed.iter().chain(&dynamic), self.near)
     }
 
@@ -70,12 +79,17 @@ pub fn nearest(capture: &Capture, share: f64) -> Option<&CaptureFrame> {
 
 /// The pixels of a frame inside its mask or outside it, in the world.
 fn points(frame: &CaptureFrame, dynamic: bool) -> Vec<Point> {
-    let Some(depth) = &frame.depth else { return Vec::new() };
+    let Some(depth) = &frame.depth else {
+        return Vec::new();
+    };
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
     let pixel = |i: usize| {
         let (x, y) = (i % w, i / w);
-        let inside = frame.mask.as_ref().is_some_and(|m| m.covers((x, y), (w, h)));
+        let inside = frame
+            .mask
+            .as_ref()
+            .is_some_and(|m| m.covers((x, y), (w, h)));
         let z = depth.at(x, y);
         (inside == dynamic && z.is_finite() && z > 0.0).then(|| {
             (
@@ -90,7 +104,12 @@ fn points(frame: &CaptureFrame, dynamic: bool) -> Vec<Point> {
 fn draw<'a>(camera: &Camera, points: impl Iterator<Item = &'a Point>, near: f32) -> RgbImage {
     let k = &camera.intrinsics;
     let (w, h) = (k.width, k.height);
-    let (fx, fy, cx, cy) = (k.fx as f32, k.fy as f32, k.cx as f32 - 0.5, k.cy as f32 - 0.5);
+    let (fx, fy, cx, cy) = (
+        k.fx as f32,
+        k.fy as f32,
+        k.cx as f32 - 0.5,
+        k.cy as f32 - 0.5,
+    );
     let w2c = camera.w2c();
     let (rotation, translation) = (w2c.rotation.cast::<f32>(), w2c.translation.cast::<f32>());
     let mut image = RgbImage::filled(w, h, [0; 3]);
@@ -117,7 +136,8 @@ fn draw<'a>(camera: &Camera, points: impl Iterator<Item = &'a Point>, near: f32)
     image
 }
 
-/// Gives each pixel that nothing was drawn to the colour of a nearest one, by rounds over the eight neighbours.
+/// Gives each pixel that nothing was drawn to the colour of a nearest one, by rounds over the eight
+/// neighbours.
 fn fill(image: &mut RgbImage, mut drawn: Vec<bool>) {
     let (w, h) = image.size();
     let mut rim: Vec<usize> = (0..w * h).filter(|&i| drawn[i]).collect();
@@ -146,18 +166,24 @@ mod tests {
 
     const W: usize = 48;
 
-    /// A wall at a depth of 4 with columns of one colour each, and at `t` a square at a depth of 2 in the middle.
+    /// A wall at a depth of 4 with columns of one colour each, and at `t` a square at a depth of 2
+    /// in the middle.
     fn frame(t: usize) -> CaptureFrame {
         let inside = |x: usize, y: usize| x.abs_diff(24) < 5 && y.abs_diff(16) < 5;
         CaptureFrame {
             name: format!("{t}"),
-            camera: Camera { intrinsics: Intrinsics::centred(W, 32, 48.0), c2w: Se3::identity() },
+            camera: Camera {
+                intrinsics: Intrinsics::centred(W, 32, 48.0),
+                c2w: Se3::identity(),
+            },
             t: t as f64,
-            rgb: Plane::from_fn(
-                W,
-                32,
-                |x, y| if inside(x, y) { [0, 0, 250 - 50 * t as u8] } else { [5 * x as u8, 0, 0] },
-            ),
+            rgb: Plane::from_fn(W, 32, |x, y| {
+                if inside(x, y) {
+                    [0, 0, 250 - 50 * t as u8]
+                } else {
+                    [5 * x as u8, 0, 0]
+                }
+            }),
             depth: Some(Plane::from_fn(W, 32, |x, y| if inside(x, y) { 2.0 } else { 4.0 }).into()),
             mask: Some(CompactMask::from_fn(W, 32, inside)),
             motion: None,
@@ -181,7 +207,11 @@ mod tests {
         camera.c2w.translation.x = 0.25;
         let view = warp.view(&camera, 1.0);
         // a point covers the pixels on both sides of it
-        assert!([30, 35].contains(&view[(4, 3)][0]) && view[(18, 16)] == [0, 0, 150], "{:?}", view.row(16));
+        assert!(
+            [30, 35].contains(&view[(4, 3)][0]) && view[(18, 16)] == [0, 0, 150],
+            "{:?}",
+            view.row(16)
+        );
         assert_eq!(warp.view(&camera, 0.0)[(18, 16)], [0, 0, 250]);
         // the rim that no frame saw has the colour beside it
         assert_eq!(view[(47, 3)], view[(45, 3)]);

@@ -40,26 +40,43 @@ fn read_image(name: &str) -> PlanarImage {
 }
 
 fn mask(name: &str) -> Mask {
-    let image = image::open(folder().join(format!("mask_{name}.png"))).unwrap().to_luma8();
-    Plane::from_vec(image.width() as usize, image.height() as usize, image.into_raw()).unwrap()
+    let image = image::open(folder().join(format!("mask_{name}.png")))
+        .unwrap()
+        .to_luma8();
+    Plane::from_vec(
+        image.width() as usize,
+        image.height() as usize,
+        image.into_raw(),
+    )
+    .unwrap()
 }
 
 fn near(what: &str, got: f64, want: f64) {
     assert!(want.abs() > 0.1, "{what}: {want} says little");
-    assert!((got - want).abs() < 1e-6, "{what}: {got} where {want} is wanted");
+    assert!(
+        (got - want).abs() < 1e-6,
+        "{what}: {got} where {want} is wanted"
+    );
 }
 
-/// SSIM padded with zeros is that of `oracles/image_metrics.py`, which no program was compared with.
+/// SSIM padded with zeros is that of `oracles/image_metrics.py`, which no program was compared
+/// with.
 #[test]
 fn agrees_with_scikit_image_and_opencv() {
     let fixture = fixture();
     let (image, reference) = (read_image("image.png"), read_image("reference.png"));
     for (&kind, &want) in &fixture.psnr {
-        let got = Metric::Psnr(kind).score(&image, &reference, None).unwrap().unwrap();
+        let got = Metric::Psnr(kind)
+            .score(&image, &reference, None)
+            .unwrap()
+            .unwrap();
         near(&format!("{kind:?}"), got, want);
     }
     for (&kind, &want) in &fixture.ssim {
-        let got = Metric::Ssim(kind).score(&image, &reference, None).unwrap().unwrap();
+        let got = Metric::Ssim(kind)
+            .score(&image, &reference, None)
+            .unwrap()
+            .unwrap();
         near(&format!("{kind:?}"), got, want);
     }
     assert_eq!(fixture.psnr.len() + fixture.ssim.len(), Metric::ALL.len());
@@ -70,7 +87,15 @@ fn unclamped_psnr_uses_values_outside_0_to_1() {
     let fixture = fixture();
     let reference = read_image("reference.png");
     let (w, h) = reference.size();
-    let planes = [0, 1, 2].map(|c| fixture.raw.iter().skip(c).step_by(3).copied().collect::<Vec<f32>>());
+    let planes = [0, 1, 2].map(|c| {
+        fixture
+            .raw
+            .iter()
+            .skip(c)
+            .step_by(3)
+            .copied()
+            .collect::<Vec<f32>>()
+    });
     let planes = planes.each_ref().map(|p| &p[..]);
     let raw = PlanarImage::from_planes_unclamped(w, h, planes).unwrap();
     let clamped = PlanarImage::from_planes(w, h, planes).unwrap();
@@ -83,7 +108,8 @@ fn unclamped_psnr_uses_values_outside_0_to_1() {
     }
 }
 
-/// Formulas stated anew in `oracles/image_metrics.py`; `oracles/check_programs.py` compares DyCheck's with the authors' program.
+/// Formulas stated anew in `oracles/image_metrics.py`; `oracles/check_programs.py` compares
+/// DyCheck's with the authors' program.
 #[test]
 fn agrees_with_restated_formulas_inside_masks() {
     let fixture = fixture();
@@ -93,7 +119,9 @@ fn agrees_with_restated_formulas_inside_masks() {
     for (name, want) in &fixture.masked {
         let mask = mask(name);
         for (&kind, &want) in &want.psnr {
-            let got = psnr_db(kind, &image, &reference, Some(&mask)).unwrap().unwrap();
+            let got = psnr_db(kind, &image, &reference, Some(&mask))
+                .unwrap()
+                .unwrap();
             near(&format!("{name}, {kind:?}"), got, want);
             scores += 1;
         }
@@ -147,7 +175,10 @@ fn same(what: &str, got: &ErrorStatistics, want: &ErrorStatistics) {
     let numbers = |s: &ErrorStatistics| [s.rmse, s.mean, s.median, s.std, s.min, s.max];
     assert!(want.rmse > 1e-3, "{what}: nothing is wrong with it");
     for (got, want) in numbers(got).into_iter().zip(numbers(want)) {
-        assert!((got - want).abs() < 1e-6, "{what}: {got} where {want} is wanted");
+        assert!(
+            (got - want).abs() < 1e-6,
+            "{what}: {got} where {want} is wanted"
+        );
     }
 }
 
@@ -162,7 +193,11 @@ fn agrees_with_evo() {
         for (&alignment, want) in &case.errors {
             let what = format!("{} poses, {alignment:?}", truth.len());
             let absolute = absolute_error(&estimate, &truth, alignment).unwrap();
-            assert!((absolute.scale - want.scale).abs() < 1e-9, "{what}: {}", absolute.scale);
+            assert!(
+                (absolute.scale - want.scale).abs() < 1e-9,
+                "{what}: {}",
+                absolute.scale
+            );
             same(&what, &absolute.translation, &want.absolute);
             same(&what, &absolute.rotation_deg, &want.absolute_rotation_deg);
             assert_eq!(want.relative.len(), 2);

@@ -12,8 +12,8 @@
 //! smooth         smoothing along the edges of an image
 //! ```
 //!
-//! Networks come as functions and traits: [`megasam::tracker::Correspondence`], [`classical::dense::MeasureFlow`],
-//! [`classical::dense::Segmenter`], [`masks::VideoSession`].
+//! Networks come as functions and traits: [`megasam::tracker::Correspondence`],
+//! [`classical::dense::MeasureFlow`], [`classical::dense::Segmenter`], [`masks::VideoSession`].
 #![forbid(unsafe_code)]
 
 pub mod classical;

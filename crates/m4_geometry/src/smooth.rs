@@ -7,7 +7,8 @@ use m4_core::dispatch;
 const ROUNDS: i32 = 3;
 /// Least coupling of neighbours: values pass even the hardest edge, so that filling has no holes.
 const LEAST_COUPLING: f32 = 1e-4;
-/// Rows of a single plane that are solved side by side: each is a chain of divisions, whose latency others fill.
+/// Rows of a single plane that are solved side by side: each is a chain of divisions, whose latency
+/// others fill.
 const ROWS: usize = 8;
 /// The same of several planes, which have work of their own to fill it with.
 const ROWS_OF_SEVERAL: usize = 2;
@@ -26,17 +27,30 @@ impl Smoother {
     /// `sigma`: the colour difference (0..255, largest channel) over which the coupling falls by e.
     pub fn new(width: usize, height: usize, guide: &[[u8; 3]], sigma: f32) -> Self {
         // One entry a possible colour difference.
-        let coupling: Vec<f32> = (0..256).map(|d| (-(d as f32) / sigma).exp().max(LEAST_COUPLING)).collect();
+        let coupling: Vec<f32> = (0..256)
+            .map(|d| (-(d as f32) / sigma).exp().max(LEAST_COUPLING))
+            .collect();
         let couple = |a: [u8; 3], b: [u8; 3]| {
-            let d = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).fold(0, u8::max);
+            let d = a
+                .iter()
+                .zip(&b)
+                .map(|(a, b)| a.abs_diff(*b))
+                .fold(0, u8::max);
             coupling[usize::from(d)]
         };
         let (right, below) = couplings(width, height, |i, j| couple(guide[i], guide[j]));
-        Self { width, height, right, below }
+        Self {
+            width,
+            height,
+            right,
+            below,
+        }
     }
 
-    /// Lets next to nothing pass between neighbours whose values differ by more than `limit`: two surfaces. A pixel that is not known (`weight`
-    /// 0) is of the surface of the [nearest](Self::nearest) known one, so that a gap beside an edge does not let its two sides mix.
+    /// Lets next to nothing pass between neighbours whose values differ by more than `limit`: two
+    /// surfaces. A pixel that is not known (`weight`
+    /// 0) is of the surface of the [nearest](Self::nearest) known one, so that a gap beside an edge
+    ///    does not let its two sides mix.
     pub fn cut(&mut self, values: &[f32], weight: &[f32], limit: f32) {
         let nearest = self.nearest(values, weight);
         for (couplings, next) in [(&mut self.right, 1), (&mut self.below, self.width)] {
@@ -48,18 +62,24 @@ impl Smoother {
         }
     }
 
-    /// The value of the nearest known pixel along a way of like colours; `values` where nothing is known at all. Distances are approximate:
-    /// two scans there and back (Rosenfeld and Pfaltz 1966).
+    /// The value of the nearest known pixel along a way of like colours; `values` where nothing is
+    /// known at all. Distances are approximate: two scans there and back (Rosenfeld and Pfaltz
+    /// 1966).
     fn nearest(&self, values: &[f32], weight: &[f32]) -> Vec<f32> {
-        /// What a step costs beside the difference of its colours, which is 1 for one sigma. A third and ten times of it gave like depth.
+        /// What a step costs beside the difference of its colours, which is 1 for one sigma. A
+        /// third and ten times of it gave like depth.
         const STEP: f32 = 0.1;
         const SCANS: usize = 2;
-        let cost = |couplings: &[f32]| -> Vec<f32> { couplings.iter().map(|c| STEP - c.ln()).collect() };
+        let cost =
+            |couplings: &[f32]| -> Vec<f32> { couplings.iter().map(|c| STEP - c.ln()).collect() };
         // infinite at the rim, where the coupling is 0
         let (right, below) = (cost(&self.right), cost(&self.below));
         let (w, n) = (self.width, values.len());
         let mut found = values.to_vec();
-        let mut way: Vec<f32> = weight.iter().map(|w| if *w > 0.0 { 0.0 } else { f32::INFINITY }).collect();
+        let mut way: Vec<f32> = weight
+            .iter()
+            .map(|w| if *w > 0.0 { 0.0 } else { f32::INFINITY })
+            .collect();
         let mut pass = |i: usize, from: usize, cost: f32| {
             if way[from] + cost < way[i] {
                 (way[i], found[i]) = (way[from] + cost, found[from]);
@@ -87,7 +107,8 @@ impl Smoother {
         self.solve::<ROWS, 1>(values.as_chunks_mut().0, lambda);
     }
 
-    /// The same of `N` planes at once, `[height][width][N]`, in half the time: they share the pivots.
+    /// The same of `N` planes at once, `[height][width][N]`, in half the time: they share the
+    /// pivots.
     fn smooth_several<const N: usize>(&self, values: &mut [[f32; N]], lambda: f32) {
         self.solve::<ROWS_OF_SEVERAL, N>(values, lambda);
     }
@@ -115,8 +136,8 @@ impl Smoother {
         }
     }
 
-    /// Weighted fill: values are averaged along the image with `weight`; returns the averages and how
-    /// much weight reached each pixel.
+    /// Weighted fill: values are averaged along the image with `weight`; returns the averages and
+    /// how much weight reached each pixel.
     pub fn fill(&self, values: &[f32], weight: &[f32], lambda: f32) -> (Vec<f32>, Vec<f32>) {
         let mut sum: Vec<f32> = values.iter().zip(weight).map(|(v, w)| v * w).collect();
         let mut reach = weight.to_vec();
@@ -128,10 +149,12 @@ impl Smoother {
         (sum, reach)
     }
 
-    /// Weighted fill by planes: at each pixel the value of the plane that fits `values` with `weight` around it, as far as the image's edges let
-    /// them pass (local regression). Slopes shrink to 0 where too little weight, too close together, determines them.
+    /// Weighted fill by planes: at each pixel the value of the plane that fits `values` with
+    /// `weight` around it, as far as the image's edges let them pass (local regression). Slopes
+    /// shrink to 0 where too little weight, too close together, determines them.
     pub fn planes(&self, values: &[f32], weight: &[f32], lambda: f32) -> Vec<f32> {
-        /// Square of the noise of a value over the usual slope, pixels: a quarter of a step of the sweep against its range over the image.
+        /// Square of the noise of a value over the usual slope, pixels: a quarter of a step of the
+        /// sweep against its range over the image.
         const NOISE_PX2: f32 = 2.0;
         let (w, unit) = (self.width, lambda.sqrt());
         let at = |p: usize| [(p % w) as f32 / unit, (p / w) as f32 / unit];
@@ -143,14 +166,19 @@ impl Smoother {
         self.smooth_several(&mut sums, lambda);
         let fit = |(p, &[total, x, y, v, xx, xy, yy, xv, yv]): (usize, &[f32; 9])| {
             let total = total.max(1e-20);
-            let [mx, my, mv, xx, xy, yy, xv, yv] = [x, y, v, xx, xy, yy, xv, yv].map(|sum| sum / total);
+            let [mx, my, mv, xx, xy, yy, xv, yv] =
+                [x, y, v, xx, xy, yy, xv, yv].map(|sum| sum / total);
             let ridge = NOISE_PX2 / (lambda * lambda * total);
-            let (vx, vy) = ((xx - mx * mx).max(0.0) + ridge, (yy - my * my).max(0.0) + ridge);
+            let (vx, vy) = (
+                (xx - mx * mx).max(0.0) + ridge,
+                (yy - my * my).max(0.0) + ridge,
+            );
             let cross = xy - mx * my;
             let (cx, cy) = (xv - mx * mv, yv - my * mv);
             let determinant = (vx * vy - cross * cross).max(ridge * ridge);
             let [px, py] = at(p);
-            mv + ((cx * vy - cy * cross) * (px - mx) + (cy * vx - cx * cross) * (py - my)) / determinant
+            mv + ((cx * vy - cy * cross) * (px - mx) + (cy * vx - cx * cross) * (py - my))
+                / determinant
         };
         sums.iter().enumerate().map(fit).collect()
     }
@@ -170,25 +198,39 @@ impl Smoother {
             let (carried, ratio) = ratio[..here.end].split_at_mut(here.start);
             let (above, u) = u[..here.end].split_at_mut(here.start);
             let (carried, above) = (&carried[here.start - w..], &above[here.start - w..]);
-            let rows = ratio.iter_mut().zip(u).zip(carried).zip(above).zip(before).zip(below);
+            let rows = ratio
+                .iter_mut()
+                .zip(u)
+                .zip(carried)
+                .zip(above)
+                .zip(before)
+                .zip(below);
             for (((((ratio, u), carried), above), before), below) in rows {
                 let (before, after) = (l * before, l * below);
                 let pivot = 1.0 / (1.0 + before + after - before * carried);
                 *ratio = after * pivot;
-                u.iter_mut().zip(above).for_each(|(u, above)| *u = (*u + before * above) * pivot);
+                u.iter_mut()
+                    .zip(above)
+                    .for_each(|(u, above)| *u = (*u + before * above) * pivot);
             }
         }
         for y in (0..self.height.saturating_sub(1)).rev() {
             let (u, below) = u[y * w..].split_at_mut(w);
             for ((u, below), ratio) in u.iter_mut().zip(&*below).zip(&ratio[y * w..]) {
-                u.iter_mut().zip(below).for_each(|(u, below)| *u += ratio * below);
+                u.iter_mut()
+                    .zip(below)
+                    .for_each(|(u, below)| *u += ratio * below);
             }
         }
     }
 }
 
 /// `f` of every pixel and the next in its row, and of every pixel and the one below; 0 at the rim.
-pub(crate) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) -> f32) -> (Vec<f32>, Vec<f32>) {
+pub(crate) fn couplings(
+    width: usize,
+    height: usize,
+    f: impl Fn(usize, usize) -> f32,
+) -> (Vec<f32>, Vec<f32>) {
     let (mut right, mut below) = (vec![0.0; width * height], vec![0.0; width * height]);
     for y in 0..height {
         let row = y * width..(y + 1) * width;
@@ -204,9 +246,15 @@ pub(crate) fn couplings(width: usize, height: usize, f: impl Fn(usize, usize) ->
     (right, below)
 }
 
-/// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place, in each of `M` rows of `N` planes.
+/// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place,
+/// in each of `M` rows of `N` planes.
 #[inline(always)]
-fn solve_rows<const M: usize, const N: usize>(u: &mut [[f32; N]], right: &[f32], l: f32, ratio: &mut [f32]) {
+fn solve_rows<const M: usize, const N: usize>(
+    u: &mut [[f32; N]],
+    right: &[f32],
+    l: f32,
+    ratio: &mut [f32],
+) {
     let w = u.len() / M;
     let (mut before, mut carried, mut last) = ([0.0; M], [0.0; M], [[0.0; N]; M]);
     for (x, ratio) in ratio.as_chunks_mut::<M>().0[..w].iter_mut().enumerate() {
@@ -263,7 +311,10 @@ fn blur<const SIDE: usize>(width: usize, height: usize, values: &mut [f32]) {
         } else {
             target.fill(0.0);
             for y in window {
-                target.iter_mut().zip(row(y)).for_each(|(t, r)| *t += share * r);
+                target
+                    .iter_mut()
+                    .zip(row(y))
+                    .for_each(|(t, r)| *t += share * r);
             }
         }
     }
@@ -285,33 +336,56 @@ mod tests {
         dot[40] = 1.0;
         smoother.smooth(&mut dot, 100.0);
         let sum: f32 = dot.iter().sum();
-        assert!((sum - 1.0).abs() < 1e-4 && dot[40] < 0.9, "{sum} {}", dot[40]);
+        assert!(
+            (sum - 1.0).abs() < 1e-4 && dot[40] < 0.9,
+            "{sum} {}",
+            dot[40]
+        );
     }
 
     #[test]
     fn planes_go_on_where_nothing_is_known() {
         let (w, h) = (40, 30);
         let smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
-        let slanted: Vec<f32> = (0..w * h).map(|p| 1.0 + 0.02 * (p % w) as f32 - 0.01 * (p / w) as f32).collect();
-        let weight: Vec<f32> = (0..w * h).map(|p| f32::from(u8::from((10..30).contains(&(p % w))))).collect();
+        let slanted: Vec<f32> = (0..w * h)
+            .map(|p| 1.0 + 0.02 * (p % w) as f32 - 0.01 * (p / w) as f32)
+            .collect();
+        let weight: Vec<f32> = (0..w * h)
+            .map(|p| f32::from(u8::from((10..30).contains(&(p % w)))))
+            .collect();
         let filled = smoother.planes(&slanted, &weight, 900.0);
         for (p, (found, expected)) in filled.iter().zip(&slanted).enumerate() {
-            assert!((found - expected).abs() < 0.02, "pixel {}, {}: {found} instead of {expected}", p % w, p / w);
+            assert!(
+                (found - expected).abs() < 0.02,
+                "pixel {}, {}: {found} instead of {expected}",
+                p % w,
+                p / w
+            );
         }
         let flat = smoother.fill(&slanted, &weight, 900.0).0;
-        assert!((flat[0] - slanted[0]).abs() > 0.1, "a constant fill is no plane");
+        assert!(
+            (flat[0] - slanted[0]).abs() > 0.1,
+            "a constant fill is no plane"
+        );
     }
 
     #[test]
     fn nothing_passes_between_two_surfaces_of_one_colour() {
         let (w, h) = (20, 8);
-        let step: Vec<f32> = (0..w * h).map(|p| if p % w < 10 { 1.0 } else { 2.0 }).collect();
+        let step: Vec<f32> = (0..w * h)
+            .map(|p| if p % w < 10 { 1.0 } else { 2.0 })
+            .collect();
         let known = vec![1.0; w * h];
         let filled = |smoother: &Smoother| smoother.fill(&step, &known, 100.0).0;
         let mut smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
         assert!((filled(&smoother)[9] - 1.0).abs() > 0.2, "one surface");
         smoother.cut(&step, &known, 0.5);
-        assert!(filled(&smoother).iter().zip(&step).all(|(found, expected)| (found - expected).abs() < 0.01));
+        assert!(
+            filled(&smoother)
+                .iter()
+                .zip(&step)
+                .all(|(found, expected)| (found - expected).abs() < 0.01)
+        );
         // where nothing is known, nothing is cut
         let mut smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
         smoother.cut(&vec![0.0; w * h], &vec![0.0; w * h], 0.5);
@@ -322,19 +396,33 @@ mod tests {
     fn a_gap_belongs_to_the_side_of_its_colour() {
         let (w, h) = (24, 10);
         // known are columns 0 to 7, near, and 16 to 23, far; the colour changes at column 10
-        let values: Vec<f32> = (0..w * h).map(|p| if p % w < 12 { 2.0 } else { 1.0 }).collect();
-        let weight: Vec<f32> = (0..w * h).map(|p| f32::from(u8::from(!(8..16).contains(&(p % w))))).collect();
-        let guide: Vec<[u8; 3]> = (0..w * h).map(|p| if p % w < 10 { [90; 3] } else { [115; 3] }).collect();
+        let values: Vec<f32> = (0..w * h)
+            .map(|p| if p % w < 12 { 2.0 } else { 1.0 })
+            .collect();
+        let weight: Vec<f32> = (0..w * h)
+            .map(|p| f32::from(u8::from(!(8..16).contains(&(p % w)))))
+            .collect();
+        let guide: Vec<[u8; 3]> = (0..w * h)
+            .map(|p| if p % w < 10 { [90; 3] } else { [115; 3] })
+            .collect();
         let mut smoother = Smoother::new(w, h, &guide, 10.0);
         let mixed = smoother.fill(&values, &weight, 900.0).0;
         smoother.cut(&values, &weight, 0.5);
         let filled = smoother.fill(&values, &weight, 900.0).0;
         for (p, found) in filled.iter().enumerate() {
             let expected = if p % w < 10 { 2.0 } else { 1.0 };
-            assert!((found - expected).abs() < 0.02, "pixel {}, {}: {found}", p % w, p / w);
+            assert!(
+                (found - expected).abs() < 0.02,
+                "pixel {}, {}: {found}",
+                p % w,
+                p / w
+            );
         }
         assert!(
-            mixed.iter().enumerate().any(|(p, v)| p % w >= 16 && (v - 1.0).abs() > 0.05),
+            mixed
+                .iter()
+                .enumerate()
+                .any(|(p, v)| p % w >= 16 && (v - 1.0).abs() > 0.05),
             "the colour alone lets it mix"
         );
     }
@@ -342,14 +430,20 @@ mod tests {
     #[test]
     fn values_fill_their_own_side_of_an_edge() {
         let (w, h) = (20, 8);
-        let guide: Vec<[u8; 3]> = (0..w * h).map(|i| if i % w < 10 { [0; 3] } else { [200; 3] }).collect();
+        let guide: Vec<[u8; 3]> = (0..w * h)
+            .map(|i| if i % w < 10 { [0; 3] } else { [200; 3] })
+            .collect();
         let smoother = Smoother::new(w, h, &guide, 10.0);
         let (mut values, mut weight) = (vec![0.0; w * h], vec![0.0; w * h]);
         for (i, v) in [(3 * w + 2, 1.0), (5 * w + 17, 5.0)] {
             (values[i], weight[i]) = (v, 1.0);
         }
         let (filled, _) = smoother.fill(&values, &weight, 500.0);
-        assert!((filled[7 * w + 8] - 1.0).abs() < 0.2, "{}", filled[7 * w + 8]);
+        assert!(
+            (filled[7 * w + 8] - 1.0).abs() < 0.2,
+            "{}",
+            filled[7 * w + 8]
+        );
         assert!((filled[11] - 5.0).abs() < 0.2, "{}", filled[11]);
     }
 }

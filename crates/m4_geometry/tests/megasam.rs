@@ -1,4 +1,5 @@
-//! The whole way of MegaSaM on a rendered scene with true flow in the network's place. Sizes and resampling against OpenCV and PyTorch.
+//! The whole way of MegaSaM on a rendered scene with true flow in the network's place. Sizes and
+//! resampling against OpenCV and PyTorch.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{Camera, Flow, Intrinsics, Plane, RgbImage, Silent, Sim3, nalgebra::Vector3};
@@ -7,7 +8,8 @@ use m4_geometry::megasam::cvd::pairs::FramePair;
 use m4_geometry::megasam::graph::EdgeChanges;
 use m4_geometry::megasam::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_geometry::megasam::{
-    DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, TrackingSize, reconstruct, track,
+    DepthPrior, MegasamGeometry, MegasamInput, MegasamSettings, PairFlow, TrackingSize,
+    reconstruct, track,
 };
 use m4_geometry::resample::{resize_area, resize_bilinear, resize_nearest};
 use m4_io::capture::{self, CaptureOptions, Split};
@@ -16,14 +18,24 @@ use safetensors::{Dtype, SafeTensors};
 use std::path::Path;
 
 fn fixture(name: &str) -> Vec<u8> {
-    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/ops").join(name)).unwrap()
+    std::fs::read(
+        Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../fixtures/ops")
+            .join(name),
+    )
+    .unwrap()
 }
 
 fn plane(file: &[u8], name: &str) -> Plane<f32> {
     let all = SafeTensors::deserialize(file).unwrap();
     let tensor = all.tensor(name).unwrap();
     assert_eq!(tensor.dtype(), Dtype::F32, "{name}");
-    let values = tensor.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
+    let values = tensor
+        .data()
+        .as_chunks::<4>()
+        .0
+        .iter()
+        .map(|b| f32::from_le_bytes(*b));
     Plane::from_vec(tensor.shape()[1], tensor.shape()[0], values.collect()).unwrap()
 }
 
@@ -41,23 +53,39 @@ fn resampling_is_that_of_opencv_and_pytorch() {
     for name in ["cv2_area_u8_down", "cv2_area_u8_half", "cv2_area_u8_up"] {
         let want = read_image(&file, name);
         let got = resize_area(&image, want.width(), want.height());
-        let pairs = got.data().iter().flatten().zip(want.data().iter().flatten());
+        let pairs = got
+            .data()
+            .iter()
+            .flatten()
+            .zip(want.data().iter().flatten());
         let off = pairs.map(|(a, b)| a.abs_diff(*b)).max().unwrap();
         assert!(off <= 1, "{name}: {off} counts");
     }
     let map = plane(&file, "map");
     let close = |got: Plane<f32>, want: Plane<f32>, name: &str| {
-        let off = got.data().iter().zip(want.data()).map(|(a, b)| (a - b).abs());
+        let off = got
+            .data()
+            .iter()
+            .zip(want.data())
+            .map(|(a, b)| (a - b).abs());
         let off = off.fold(0.0, f32::max);
         assert!(off < 1e-5, "{name}: {off}");
     };
     for side in ["down", "up"] {
         let name = format!("torch_nearest_exact_{side}");
         let want = plane(&file, &name);
-        close(resize_nearest(&map, want.width(), want.height()), want, &name);
+        close(
+            resize_nearest(&map, want.width(), want.height()),
+            want,
+            &name,
+        );
         let name = format!("torch_bilinear_{side}");
         let want = plane(&file, &name);
-        close(resize_bilinear(&map, want.width(), want.height()), want, &name);
+        close(
+            resize_bilinear(&map, want.width(), want.height()),
+            want,
+            &name,
+        );
     }
 }
 
@@ -67,11 +95,21 @@ fn sizes_are_those_of_the_published_program() {
     let all = SafeTensors::deserialize(&file).unwrap();
     let tensor = all.tensor("table").unwrap();
     assert_eq!(tensor.dtype(), Dtype::I64);
-    let table: Vec<usize> = tensor.data().as_chunks::<8>().0.iter().map(|b| i64::from_le_bytes(*b) as usize).collect();
+    let table: Vec<usize> = tensor
+        .data()
+        .as_chunks::<8>()
+        .0
+        .iter()
+        .map(|b| i64::from_le_bytes(*b) as usize)
+        .collect();
     assert!(table.len() >= 8 * 5);
     for row in table.chunks(8) {
         let size = TrackingSize::new((row[0], row[1]), 384.0 * 512.0).unwrap();
-        assert_eq!((size.scaled, size.cropped), ((row[4], row[5]), (row[6], row[7])), "{row:?}");
+        assert_eq!(
+            (size.scaled, size.cropped),
+            ((row[4], row[5]), (row[6], row[7])),
+            "{row:?}"
+        );
     }
 }
 
@@ -86,13 +124,26 @@ struct Scene {
 
 /// The first `frames` frames of a scene; `None` where it is not there.
 fn load(name: &str, frames: usize) -> Option<Scene> {
-    let capture = capture::read(&shared(name)?, Split::Train, &CaptureOptions::default(), &Silent).unwrap();
-    let mut scene = Scene { images: Vec::new(), cameras: Vec::new(), depth: Vec::new(), moving: Vec::new() };
+    let capture = capture::read(
+        &shared(name)?,
+        Split::Train,
+        &CaptureOptions::default(),
+        &Silent,
+    )
+    .unwrap();
+    let mut scene = Scene {
+        images: Vec::new(),
+        cameras: Vec::new(),
+        depth: Vec::new(),
+        moving: Vec::new(),
+    };
     for frame in capture.frames.into_iter().take(frames) {
         scene.images.push(frame.rgb);
         scene.cameras.push(frame.camera);
         scene.depth.push(frame.depth.unwrap().to_map());
-        scene.moving.push(frame.mask.unwrap().to_mask().map(|&m| m > 0));
+        scene
+            .moving
+            .push(frame.mask.unwrap().to_mask().map(|&m| m > 0));
     }
     Some(scene)
 }
@@ -129,27 +180,41 @@ impl Truth<'_> {
     /// Pixel `(x, y)` of the tracked image of frame `i`, in frame `j`.
     fn seen(&self, i: usize, j: usize, x: f64, y: f64) -> Seen {
         let (u, v) = (self.full(x, 0), self.full(y, 1));
-        let nowhere = Seen { at: [x as f32, y as f32], visible: false, moving: false };
-        let Some(p) = self.nearest(u, v) else { return nowhere };
+        let nowhere = Seen {
+            at: [x as f32, y as f32],
+            visible: false,
+            moving: false,
+        };
+        let Some(p) = self.nearest(u, v) else {
+            return nowhere;
+        };
         let z = f64::from(self.scene.depth[i][p]);
         let moving = self.scene.moving[i][p];
         if z == 0.0 {
             return nowhere;
         }
-        // The depth is that of the nearest pixel, so its own ray is taken and moved by what lies between.
+        // The depth is that of the nearest pixel, so its own ray is taken and moved by what lies
+        // between.
         let (a, b) = (&self.scene.cameras[i], &self.scene.cameras[j]);
         let ([u2, v2], there) = b.project(&a.unproject(u, v, z));
         if there <= 0.1 {
             return nowhere;
         }
-        let back = |at: f64, full: usize, scaled: usize| (at + 0.5) * scaled as f64 / full as f64 - 0.5;
+        let back =
+            |at: f64, full: usize, scaled: usize| (at + 0.5) * scaled as f64 / full as f64 - 0.5;
         let at = [
             back(u2, self.size.full.0, self.size.scaled.0) as f32,
             back(v2, self.size.full.1, self.size.scaled.1) as f32,
         ];
-        let hit = self.nearest(u2, v2).map(|q| f64::from(self.scene.depth[j][q]) / there);
+        let hit = self
+            .nearest(u2, v2)
+            .map(|q| f64::from(self.scene.depth[j][q]) / there);
         let visible = !moving && hit.is_some_and(|ratio| (ratio - 1.0).abs() < 0.02);
-        Seen { at, visible, moving }
+        Seen {
+            at,
+            visible,
+            moving,
+        }
     }
 }
 
@@ -198,11 +263,20 @@ impl PairFlow for Truth<'_> {
         "truth"
     }
 
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], SourceError> {
+    fn both(
+        &mut self,
+        pair: FramePair,
+        a: &RgbImage,
+        b: &RgbImage,
+    ) -> Result<[Flow; 2], SourceError> {
         assert_eq!((a.size(), b.size()), (self.size.cropped, self.size.cropped));
         let (width, height) = self.size.cropped;
         let way = |i: usize, j: usize| {
-            let mut field = Flow { width, height, ..Flow::default() };
+            let mut field = Flow {
+                width,
+                height,
+                ..Flow::default()
+            };
             for n in 0..width * height {
                 let (x, y) = ((n % width) as f64, (n / width) as f64);
                 let seen = self.seen(i, j, x, y);
@@ -221,19 +295,25 @@ impl PairFlow for Truth<'_> {
 fn monocular_depth(scene: &Scene) -> Vec<Plane<f32>> {
     let frame = |(k, depth): (usize, &Plane<f32>)| {
         Plane::from_fn(depth.width(), depth.height(), |x, y| {
-            let wave = (0.013 * x as f32 + 0.4 * k as f32).sin() * (0.017 * y as f32 - 0.3 * k as f32).cos();
+            let wave = (0.013 * x as f32 + 0.4 * k as f32).sin()
+                * (0.017 * y as f32 - 0.3 * k as f32).cos();
             depth.row(y)[x] * (1.0 + 0.08 * wave)
         })
     };
     scene.depth.iter().enumerate().map(frame).collect()
 }
 
-/// Root mean square distance of camera centres after a similarity, over the length of the path; and the factor of the similarity.
+/// Root mean square distance of camera centres after a similarity, over the length of the path; and
+/// the factor of the similarity.
 fn path_error(found: &MegasamGeometry, scene: &Scene) -> (f64, f64) {
     let got: Vec<Vector3<f64>> = found.c2w.iter().map(|p| p.translation).collect();
     let want: Vec<Vector3<f64>> = scene.cameras.iter().map(|c| c.c2w.translation).collect();
     let fit = Sim3::umeyama(&got, &want).unwrap();
-    let square: f64 = got.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
+    let square: f64 = got
+        .iter()
+        .zip(&want)
+        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
+        .sum();
     let length: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     ((square / got.len() as f64).sqrt() / length, fit.scale)
 }
@@ -242,7 +322,10 @@ fn path_error(found: &MegasamGeometry, scene: &Scene) -> (f64, f64) {
 fn turn_error_deg(found: &MegasamGeometry, scene: &Scene) -> f64 {
     let first = (found.c2w[0].rotation, scene.cameras[0].c2w.rotation);
     let turns = found.c2w.iter().zip(&scene.cameras).map(|(a, b)| {
-        let (a, b) = (first.0.transpose() * a.rotation, first.1.transpose() * b.c2w.rotation);
+        let (a, b) = (
+            first.0.transpose() * a.rotation,
+            first.1.transpose() * b.c2w.rotation,
+        );
         let cos = ((a.transpose() * b).trace() - 1.0) / 2.0;
         cos.clamp(-1.0, 1.0).acos().to_degrees()
     });
@@ -252,12 +335,20 @@ fn turn_error_deg(found: &MegasamGeometry, scene: &Scene) -> f64 {
 #[test]
 fn true_flow_gives_true_cameras_and_depth() {
     // as many frames as are worth the time that this takes
-    let Some(scene) = load("bench/quad-1", 48) else { return };
+    let Some(scene) = load("bench/quad-1", 48) else {
+        return;
+    };
     let settings = MegasamSettings::default();
     let size = TrackingSize::new(scene.images[0].size(), settings.tracking_pixels).unwrap();
     let prior = DepthPrior::metric(&monocular_depth(&scene), &size).unwrap();
-    let mut truth = Truth { scene: &scene, size };
-    let mut flow = Truth { scene: &scene, size };
+    let mut truth = Truth {
+        scene: &scene,
+        size,
+    };
+    let mut flow = Truth {
+        scene: &scene,
+        size,
+    };
     let lens = scene.cameras[0].intrinsics;
     let times: Vec<f64> = (0..scene.images.len()).map(|k| k as f64 / 30.0).collect();
     let images: Vec<&RgbImage> = scene.images.iter().collect();
@@ -265,7 +356,11 @@ fn true_flow_gives_true_cameras_and_depth() {
         images: &images,
         times_s: &times,
         // A guess that is off by an eighth.
-        lens: Intrinsics { fx: 1.125 * lens.fx, fy: 1.125 * lens.fy, ..lens },
+        lens: Intrinsics {
+            fx: 1.125 * lens.fx,
+            fy: 1.125 * lens.fy,
+            ..lens
+        },
         focal_is_free: true,
         prior: Some(&prior),
     };
@@ -278,7 +373,9 @@ fn true_flow_gives_true_cameras_and_depth() {
     for (k, depth) in found.depth.iter().enumerate() {
         for y in (4..size.cropped.1).step_by(3) {
             for x in (4..size.cropped.0).step_by(3) {
-                let at = truth.nearest(truth.full(x as f64, 0), truth.full(y as f64, 1)).unwrap();
+                let at = truth
+                    .nearest(truth.full(x as f64, 0), truth.full(y as f64, 1))
+                    .unwrap();
                 let want = scene.depth[k][at];
                 if want > 0.0 && !scene.moving[k][at] {
                     off += f64::from((depth.row(y)[x] / want - 1.0).abs());

@@ -23,7 +23,8 @@ fn texture(u: f64, v: f64, salt: f64) -> f64 {
     0.6 * layer(0.13) + 0.4 * layer(0.37)
 }
 
-/// A corner of a room (back wall at z = 5, floor at y = 1) and a plate at z = 3 that moves with `t`.
+/// A corner of a room (back wall at z = 5, floor at y = 1) and a plate at z = 3 that moves with
+/// `t`.
 fn render(camera: &Camera, t: f64) -> RgbImage {
     let k = camera.intrinsics;
     let origin = camera.centre();
@@ -31,7 +32,10 @@ fn render(camera: &Camera, t: f64) -> RgbImage {
         let d = camera.unproject(x as f64, y as f64, 1.0) - origin;
         let hit = |distance: f64| origin + d * distance;
         let plate = hit((3.0 - origin.z) / d.z);
-        let (u, v) = (plate.x + 0.6 - 0.06 * t, plate.y + 0.2 + 0.25 * (0.8 * t).sin());
+        let (u, v) = (
+            plate.x + 0.6 - 0.06 * t,
+            plate.y + 0.2 + 0.25 * (0.8 * t).sin(),
+        );
         let wall = hit((5.0 - origin.z) / d.z);
         let value = if u.abs() < 0.4 && v.abs() < 0.4 {
             texture(u, v, 3.0)
@@ -62,10 +66,16 @@ fn cameras(move_by: f64, turn_by: f64) -> Vec<Camera> {
 }
 
 fn render_all(cameras: &[Camera]) -> Vec<RgbImage> {
-    (0..).zip(cameras).map(|(i, c)| render(c, f64::from(i))).collect()
+    (0..)
+        .zip(cameras)
+        .map(|(i, c)| render(c, f64::from(i)))
+        .collect()
 }
 
-fn reconstruct(images: &[RgbImage], config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
+fn reconstruct(
+    images: &[RgbImage],
+    config: &SparseConfig,
+) -> Result<SparseReconstruction, SparseError> {
     let frames: Vec<&RgbImage> = images.iter().collect();
     let found = track_features(&frames, config, &Silent)?.recover(None, config, &Silent)?;
     Ok(found.sparse)
@@ -74,12 +84,22 @@ fn reconstruct(images: &[RgbImage], config: &SparseConfig) -> Result<SparseRecon
 #[test]
 fn a_rendered_room_is_reconstructed() {
     let truth = cameras(0.06, 0.008);
-    let found = reconstruct(&render_all(&truth), &SparseConfig::default()).expect("a reconstruction");
-    assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
+    let found =
+        reconstruct(&render_all(&truth), &SparseConfig::default()).expect("a reconstruction");
+    assert_eq!(
+        found.camera_motion,
+        CameraMotion::Parallax,
+        "{:?}",
+        found.warnings
+    );
     let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<_>>();
     let (ours, want) = (centres(&found.cameras), centres(&truth));
     let fit = Sim3::umeyama(&ours, &want).expect("a trajectory");
-    let worst = ours.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm()).fold(0.0, f64::max);
+    let worst = ours
+        .iter()
+        .zip(&want)
+        .map(|(a, b)| (fit.transform(a) - b).norm())
+        .fold(0.0, f64::max);
     let path: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     assert!(worst < 0.02 * path, "off by {worst} on a path of {path}");
     let focal = found.cameras[0].intrinsics.fx;
@@ -87,14 +107,21 @@ fn a_rendered_room_is_reconstructed() {
     // Tracks that begin on the plate move, those that stay clear of it do not.
     let (mut on, mut on_moves, mut off, mut off_moves) = (0, 0, 0, 0);
     for t in found.tracks.iter().filter(|t| t.motion != Motion::Unknown) {
-        let inside = t.observations.iter().zip(t.first_frame..).filter(|(p, frame)| {
-            let camera = &truth[*frame];
-            let d = camera.unproject(f64::from(p[0]), f64::from(p[1]), 1.0) - camera.centre();
-            let x = camera.centre() + d * ((3.0 - camera.centre().z) / d.z);
-            let time = *frame as f64;
-            let (u, v) = (x.x + 0.6 - 0.06 * time, x.y + 0.2 + 0.25 * (0.8 * time).sin());
-            u.abs() < 0.36 && v.abs() < 0.36
-        });
+        let inside = t
+            .observations
+            .iter()
+            .zip(t.first_frame..)
+            .filter(|(p, frame)| {
+                let camera = &truth[*frame];
+                let d = camera.unproject(f64::from(p[0]), f64::from(p[1]), 1.0) - camera.centre();
+                let x = camera.centre() + d * ((3.0 - camera.centre().z) / d.z);
+                let time = *frame as f64;
+                let (u, v) = (
+                    x.x + 0.6 - 0.06 * time,
+                    x.y + 0.2 + 0.25 * (0.8 * time).sin(),
+                );
+                u.abs() < 0.36 && v.abs() < 0.36
+            });
         let inside = inside.count();
         let moves = usize::from(t.motion == Motion::Dynamic);
         if inside == t.observations.len() {
@@ -103,13 +130,22 @@ fn a_rendered_room_is_reconstructed() {
             (off, off_moves) = (off + 1, off_moves + moves);
         }
     }
-    assert!(on >= 10 && 4 * on_moves >= 3 * on, "{on_moves} of {on} tracks on the plate move");
-    assert!(off > 100 && 10 * off_moves <= off, "{off_moves} of {off} tracks beside the plate move");
+    assert!(
+        on >= 10 && 4 * on_moves >= 3 * on,
+        "{on_moves} of {on} tracks on the plate move"
+    );
+    assert!(
+        off > 100 && 10 * off_moves <= off,
+        "{off_moves} of {off} tracks beside the plate move"
+    );
 }
 
 #[test]
 fn static_and_turning_cameras_are_distinguished() {
-    for (turn, motion) in [(0.0, CameraMotion::Static), (0.01, CameraMotion::RotationOnly)] {
+    for (turn, motion) in [
+        (0.0, CameraMotion::Static),
+        (0.01, CameraMotion::RotationOnly),
+    ] {
         let images = render_all(&cameras(0.0, turn));
         let found = reconstruct(&images, &SparseConfig::default()).expect("poses");
         assert_eq!(found.camera_motion, motion, "{:?}", found.warnings);
@@ -119,18 +155,40 @@ fn static_and_turning_cameras_are_distinguished() {
 
 #[test]
 fn bad_input_is_refused() {
-    let run = |images: &[RgbImage]| reconstruct(images, &SparseConfig::default()).unwrap_err().to_string();
+    let run = |images: &[RgbImage]| {
+        reconstruct(images, &SparseConfig::default())
+            .unwrap_err()
+            .to_string()
+    };
     let plain = |w, h| Plane::filled(w, h, [90_u8; 3]);
     for (frames, reason) in [
         (vec![], "the clip has 0 frame(s)"),
         (vec![plain(100, 80)], "the clip has 1 frame(s)"),
-        (vec![plain(100, 80), plain(100, 81)], "frame 1 is (100, 81) pixels"),
+        (
+            vec![plain(100, 80), plain(100, 81)],
+            "frame 1 is (100, 81) pixels",
+        ),
         (vec![plain(60, 80), plain(60, 80)], "frames of 60x80 pixels"),
-        (vec![plain(100, 80), plain(100, 80)], "only 0 points could be tracked from frame 0"),
+        (
+            vec![plain(100, 80), plain(100, 80)],
+            "only 0 points could be tracked from frame 0",
+        ),
     ] {
         assert!(run(&frames).contains(reason), "{}", run(&frames));
     }
-    let config = SparseConfig { fov_deg: Some(f64::NAN), ..SparseConfig::default() };
+    let config = SparseConfig {
+        fov_deg: Some(f64::NAN),
+        ..SparseConfig::default()
+    };
     let got = reconstruct(&[plain(100, 80), plain(100, 80)], &config).map(|_| ());
-    assert!(matches!(got, Err(SparseError::Setting { name: "fov_deg", .. })), "{got:?}");
+    assert!(
+        matches!(
+            got,
+            Err(SparseError::Setting {
+                name: "fov_deg",
+                ..
+            })
+        ),
+        "{got:?}"
+    );
 }

@@ -7,12 +7,21 @@ use m4_core::{
 use m4_geometry::dba::{Grid, Pinhole};
 use m4_geometry::megasam::graph::{EdgeChanges, EdgeId};
 use m4_geometry::megasam::tracker::{
-    Clip, Correspondence, CorrespondenceError, FrameInput, Revision, Tracked, TrackerSettings, track,
+    Clip, Correspondence, CorrespondenceError, FrameInput, Revision, Tracked, TrackerSettings,
+    track,
 };
 use std::collections::HashMap;
 
-const GRID: Grid = Grid { width: 96, height: 64 };
-const LENS: Pinhole<f64> = Pinhole { fx: 84.0, fy: 84.0, cx: 47.5, cy: 31.5 };
+const GRID: Grid = Grid {
+    width: 96,
+    height: 64,
+};
+const LENS: Pinhole<f64> = Pinhole {
+    fx: 84.0,
+    fy: 84.0,
+    cx: 47.5,
+    cy: 31.5,
+};
 const FRAMES: usize = 20;
 const BALL: f64 = 0.5;
 
@@ -32,8 +41,8 @@ struct DenseFlow {
     still: Vec<f32>,
 }
 
-/// Targets that do not depend on the projection: the pixel plus its flow, asked of `flow(i, j)` when an edge enters and dropped when
-/// it leaves.
+/// Targets that do not depend on the projection: the pixel plus its flow, asked of `flow(i, j)`
+/// when an edge enters and dropped when it leaves.
 struct FlowCorrespondence {
     flow: fn(usize, usize) -> DenseFlow,
     edges: HashMap<EdgeId, DenseFlow>,
@@ -80,7 +89,11 @@ impl Correspondence for FlowCorrespondence {
         Ok(())
     }
 
-    fn motion_px(&mut self, from_frame: usize, to_frame: usize) -> Result<f64, CorrespondenceError> {
+    fn motion_px(
+        &mut self,
+        from_frame: usize,
+        to_frame: usize,
+    ) -> Result<f64, CorrespondenceError> {
         let flow = (self.flow)(from_frame, to_frame);
         let [u, v] = &flow.flow_px;
         let (mut sum, mut weight) = (0.0, 0.0);
@@ -89,7 +102,11 @@ impl Correspondence for FlowCorrespondence {
             weight += f64::from(c);
         }
         // Nothing in common: as far apart as can be.
-        Ok(if weight > 0.0 { sum / weight } else { f64::INFINITY })
+        Ok(if weight > 0.0 {
+            sum / weight
+        } else {
+            f64::INFINITY
+        })
     }
 }
 
@@ -102,7 +119,14 @@ fn ball(frame: usize) -> Vector3<f64> {
 /// Camera to world at a frame.
 fn camera(frame: usize) -> Se3<f64> {
     let t = frame as f64 / (FRAMES - 1) as f64;
-    let turn = Vector6::new(0.0, 0.0, 0.0, 0.05 * (4.0 * t).sin(), 0.2 - 0.4 * t, 0.04 * (5.0 * t).cos());
+    let turn = Vector6::new(
+        0.0,
+        0.0,
+        0.0,
+        0.05 * (4.0 * t).sin(),
+        0.2 - 0.4 * t,
+        0.04 * (5.0 * t).cos(),
+    );
     Se3 {
         translation: Vector3::new(-0.9 + 1.8 * t, 0.25 * (6.0 * t).sin(), 0.7 * t * t),
         rotation: Se3::exp(&turn).rotation,
@@ -125,14 +149,21 @@ fn cast(c2w: &Se3<f64>, centre: &Vector3<f64>, u: f64, v: f64) -> (f64, bool) {
     let (low, high) = (Vector3::new(-2.4, -0.4, 4.0), Vector3::new(-0.9, 1.5, 5.0));
     let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
-        let (a, b) = ((low[axis] - from[axis]) / ray[axis], (high[axis] - from[axis]) / ray[axis]);
+        let (a, b) = (
+            (low[axis] - from[axis]) / ray[axis],
+            (high[axis] - from[axis]) / ray[axis],
+        );
         (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
     }
     if enter < leave && enter > 0.0 {
         depth = depth.min(enter);
     }
     let to = from - centre;
-    let (a, b, c) = (ray.norm_squared(), ray.dot(&to), to.norm_squared() - BALL * BALL);
+    let (a, b, c) = (
+        ray.norm_squared(),
+        ray.dot(&to),
+        to.norm_squared() - BALL * BALL,
+    );
     let inside = b * b - a * c;
     if inside > 0.0 {
         let t = (-b - inside.sqrt()) / a;
@@ -151,11 +182,19 @@ fn pixels() -> impl Iterator<Item = (f64, f64)> {
 fn flow(i: usize, j: usize) -> DenseFlow {
     let (from, to) = (camera(i), camera(j).inverse());
     let mut rng = CounterRng::new(5, i as u64, j as u64);
-    let mut out = DenseFlow { flow_px: [Vec::new(), Vec::new()], confidence: Vec::new(), still: Vec::new() };
+    let mut out = DenseFlow {
+        flow_px: [Vec::new(), Vec::new()],
+        confidence: Vec::new(),
+        still: Vec::new(),
+    };
     for (u, v) in pixels() {
         let (depth, moving) = cast(&from, &ball(i), u, v);
         let local = Vector3::new((u - LENS.cx) / LENS.fx, (v - LENS.cy) / LENS.fy, 1.0) * depth;
-        let shift = if moving { ball(j) - ball(i) } else { Vector3::zeros() };
+        let shift = if moving {
+            ball(j) - ball(i)
+        } else {
+            Vector3::zeros()
+        };
         let p = to.transform(&(from.transform(&local) + shift));
         let (x, y) = (LENS.fx * p.x / p.z + LENS.cx, LENS.fy * p.y / p.z + LENS.cy);
         let visible = p.z > 0.1
@@ -179,19 +218,34 @@ fn sensor(frame: usize) -> Vec<f32> {
             if u < 12.0 && v < 12.0 {
                 return 0.0;
             }
-            let wave = (0.07 * u + 0.3 * frame as f64).sin() * (0.09 * v - 0.2 * frame as f64).cos();
+            let wave =
+                (0.07 * u + 0.3 * frame as f64).sin() * (0.09 * v - 0.2 * frame as f64).cos();
             ((1.0 + 0.12 * wave) / cast(&c2w, &ball(frame), u, v).0) as f32
         })
         .collect()
 }
 
 fn inputs(sensor: impl Fn(usize) -> Vec<f32>) -> Vec<FrameInput> {
-    (0..FRAMES).map(|frame| FrameInput { frame, time_s: frame as f64 / 30.0, sensor: sensor(frame) }).collect()
+    (0..FRAMES)
+        .map(|frame| FrameInput {
+            frame,
+            time_s: frame as f64 / 30.0,
+            sensor: sensor(frame),
+        })
+        .collect()
 }
 
 fn run(settings: &TrackerSettings, guess: f64, sensor: fn(usize) -> Vec<f32>) -> Tracked {
     let frames = inputs(sensor);
-    let clip = Clip { grid: GRID, lens: Pinhole { fx: LENS.fx * guess, fy: LENS.fy * guess, ..LENS }, frames: &frames };
+    let clip = Clip {
+        grid: GRID,
+        lens: Pinhole {
+            fx: LENS.fx * guess,
+            fy: LENS.fy * guess,
+            ..LENS
+        },
+        frames: &frames,
+    };
     let mut source = FlowCorrespondence::new(flow);
     track(&clip, &mut source, settings, &Silent).expect("a clip that can be tracked")
 }
@@ -201,7 +255,11 @@ fn path_error(tracked: &Tracked) -> f64 {
     let got: Vec<Vector3<f64>> = tracked.c2w().iter().map(|p| p.translation).collect();
     let want: Vec<Vector3<f64>> = (0..FRAMES).map(|k| camera(k).translation).collect();
     let fit = Sim3::umeyama(&got, &want).expect("a path");
-    let square: f64 = got.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
+    let square: f64 = got
+        .iter()
+        .zip(&want)
+        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
+        .sum();
     let length: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     (square / FRAMES as f64).sqrt() / length
 }
@@ -228,7 +286,10 @@ fn cameras_focal_length_and_depth_are_recovered_from_flow() {
     let tracked = run(&TrackerSettings::default(), 1.25, sensor);
     let focal = tracked.geometry.lens.fx / LENS.fx - 1.0;
     let (path, depth) = (path_error(&tracked), depth_error(&tracked));
-    eprintln!("focal {focal:+.4}, path {path:.5}, depth {depth:.4}, rms {:.3} px", tracked.rms_px);
+    eprintln!(
+        "focal {focal:+.4}, path {path:.5}, depth {depth:.4}, rms {:.3} px",
+        tracked.rms_px
+    );
     assert!(tracked.focal_adjusted);
     assert!(focal.abs() < 0.02, "focal length off by {focal}");
     assert!(path < 0.02, "path off by {path}");
@@ -237,10 +298,16 @@ fn cameras_focal_length_and_depth_are_recovered_from_flow() {
 
 #[test]
 fn without_any_hint_of_depth_the_path_is_recovered_too() {
-    let settings = TrackerSettings { optimise_focal: false, ..TrackerSettings::default() };
+    let settings = TrackerSettings {
+        optimise_focal: false,
+        ..TrackerSettings::default()
+    };
     let tracked = run(&settings, 1.0, |_| vec![0.0; GRID.len()]);
     let (path, depth) = (path_error(&tracked), depth_error(&tracked));
-    eprintln!("path {path:.5}, depth {depth:.4}, rms {:.3} px", tracked.rms_px);
+    eprintln!(
+        "path {path:.5}, depth {depth:.4}, rms {:.3} px",
+        tracked.rms_px
+    );
     assert_eq!(tracked.geometry.lens, LENS);
     assert!(path < 0.02, "path off by {path}");
     assert!(depth < 0.03, "depth off by {depth}");
@@ -249,20 +316,38 @@ fn without_any_hint_of_depth_the_path_is_recovered_too() {
 /// Nothing moves but noise.
 fn still(_i: usize, j: usize) -> DenseFlow {
     let mut rng = CounterRng::new(6, 0, j as u64);
-    let mut plane = || (0..GRID.len()).map(|_| (NOISE_PX * rng.normal()) as f32).collect();
+    let mut plane = || {
+        (0..GRID.len())
+            .map(|_| (NOISE_PX * rng.normal()) as f32)
+            .collect()
+    };
     let ones = vec![1.0; GRID.len()];
-    DenseFlow { flow_px: [plane(), plane()], confidence: ones.clone(), still: ones }
+    DenseFlow {
+        flow_px: [plane(), plane()],
+        confidence: ones.clone(),
+        still: ones,
+    }
 }
 
 #[test]
 fn a_camera_on_a_tripod_stays_where_it_is() {
     let frames = inputs(sensor);
-    let clip = Clip { grid: GRID, lens: LENS, frames: &frames };
+    let clip = Clip {
+        grid: GRID,
+        lens: LENS,
+        frames: &frames,
+    };
     let mut source = FlowCorrespondence::new(still);
     // The published prior is too weak for noise that looks like parallax.
-    let settings = TrackerSettings { low_parallax_alpha: 0.05, ..TrackerSettings::default() };
+    let settings = TrackerSettings {
+        low_parallax_alpha: 0.05,
+        ..TrackerSettings::default()
+    };
     let tracked = track(&clip, &mut source, &settings, &Silent).expect("two keyframes are enough");
-    eprintln!("{:?}, keyframes {:?}", tracked.observability, tracked.keyframes);
+    eprintln!(
+        "{:?}, keyframes {:?}",
+        tracked.observability, tracked.keyframes
+    );
     assert_eq!(tracked.keyframes, [0, FRAMES - 1]);
     assert!(!tracked.focal_adjusted && tracked.geometry.lens == LENS);
     for pose in &tracked.geometry.poses {
@@ -272,8 +357,13 @@ fn a_camera_on_a_tripod_stays_where_it_is() {
     }
     // With no parallax depth is that of the hints.
     let hints = sensor(0);
-    let off = hints.iter().zip(&tracked.geometry.disparity[0]).filter(|(h, _)| **h > 0.0);
-    let off = off.map(|(h, d)| (d / h - 1.0).abs()).fold(0.0_f32, f32::max);
+    let off = hints
+        .iter()
+        .zip(&tracked.geometry.disparity[0])
+        .filter(|(h, _)| **h > 0.0);
+    let off = off
+        .map(|(h, d)| (d / h - 1.0).abs())
+        .fold(0.0_f32, f32::max);
     assert!(off < 0.1, "depth off by {off}");
 }
 
@@ -283,8 +373,13 @@ fn single_frames_and_unordered_frames_are_rejected() {
     let mut source = FlowCorrespondence::new(still);
     let settings = TrackerSettings::default();
     let mut ask = |frames: &[FrameInput]| {
-        let clip = Clip { grid: GRID, lens: LENS, frames };
-        let error = track(&clip, &mut source, &settings, &Silent).expect_err("a clip that cannot be tracked");
+        let clip = Clip {
+            grid: GRID,
+            lens: LENS,
+            frames,
+        };
+        let error = track(&clip, &mut source, &settings, &Silent)
+            .expect_err("a clip that cannot be tracked");
         error.to_string()
     };
     assert!(ask(&frames[..1]).contains("1 frame(s)"));

@@ -19,7 +19,13 @@ fn capture(scene: &BoxScene) -> Capture {
         camera_index: None,
     };
     let frames: Vec<CaptureFrame> = (0..scene.frames()).map(frame).collect();
-    Capture { time_frames: frames.len(), frames, duration_s: None, metric: true, tracks: None }
+    Capture {
+        time_frames: frames.len(),
+        frames,
+        duration_s: None,
+        metric: true,
+        tracks: None,
+    }
 }
 
 fn clip(capture: &Capture) -> CaptureClip<'_> {
@@ -30,10 +36,12 @@ fn clip(capture: &Capture) -> CaptureClip<'_> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Score {
     tracks: usize,
-    /// Median distance to the truth where a point is reported visible, and where not, in per cent of its depth.
+    /// Median distance to the truth where a point is reported visible, and where not, in per cent
+    /// of its depth.
     seen_percent: f64,
     hidden_percent: f64,
-    /// Share of all frames of all tracks in which the place is known and right: within 5 % of the depth and 10 px.
+    /// Share of all frames of all tracks in which the place is known and right: within 5 % of the
+    /// depth and 10 px.
     survival: f64,
     /// The same among the frames in which the point cannot be seen.
     recovered: f64,
@@ -51,7 +59,8 @@ fn median(mut values: Vec<f64>) -> f64 {
 /// Compares with the truth; the point of a track is the one that is seen first.
 fn score(scene: &BoxScene, tracks: &Tracks) -> Score {
     let (mut seen_errors, mut hidden_errors) = (Vec::new(), Vec::new());
-    let (mut all, mut right, mut hidden, mut recovered, mut said, mut wrong) = (0u32, 0u32, 0u32, 0u32, 0u32, 0u32);
+    let (mut all, mut right, mut hidden, mut recovered, mut said, mut wrong) =
+        (0u32, 0u32, 0u32, 0u32, 0u32, 0u32);
     let visible = |t: usize, k: usize| tracks.visible()[t * tracks.count() + k];
     for k in 0..tracks.count() {
         let first = (0..scene.frames()).find(|&t| visible(t, k)).unwrap();
@@ -67,10 +76,17 @@ fn score(scene: &BoxScene, tracks: &Tracks) -> Score {
             let visible = visible(t, k);
             said += u32::from(visible);
             wrong += u32::from(visible && !sees);
-            let Some(place) = tracks.place(t, k) else { continue };
+            let Some(place) = tracks.place(t, k) else {
+                continue;
+            };
             let place = Vector3::from(place.map(f64::from));
             let error = 100.0 * (truth - place).norm() / z;
-            if visible { &mut seen_errors } else { &mut hidden_errors }.push(error);
+            if visible {
+                &mut seen_errors
+            } else {
+                &mut hidden_errors
+            }
+            .push(error);
             let (here, depth) = scene.cameras[t].project(&place);
             let off_px = (here[0] - there[0]).hypot(here[1] - there[1]);
             if (depth / z - 1.0).abs() <= 0.05 && off_px <= 10.0 {
@@ -108,13 +124,18 @@ fn occluded_points_move_with_their_object() {
 fn the_number_of_threads_does_not_matter() {
     let capture = capture(&BoxScene::new(96, 72, 16));
     let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| follow(&clip(&capture), &QueryGrid::default(), &Silent).unwrap())
     };
     let bits = |tracks: &Tracks| -> Vec<u32> {
         let places = tracks.xyz().as_flattened().iter().map(|v| v.to_bits());
         let trust = (0..tracks.frames()).flat_map(|t| (0..tracks.count()).map(move |k| (t, k)));
-        places.chain(trust.map(|(t, k)| tracks.confidence(t, k).to_bits())).collect()
+        places
+            .chain(trust.map(|(t, k)| tracks.confidence(t, k).to_bits()))
+            .collect()
     };
     let (one, three) = (with(1), with(3));
     assert!(one.count() > 20);
@@ -127,7 +148,10 @@ fn queries_lie_in_the_masks() {
     let scene = BoxScene::new(96, 72, 11);
     let capture = capture(&scene);
     let ask = |grid: QueryGrid| grid.queries("still", &clip(&capture), &Silent);
-    let all = QueryGrid { every: 2, ..QueryGrid::default() };
+    let all = QueryGrid {
+        every: 2,
+        ..QueryGrid::default()
+    };
     let queries = ask(all).unwrap();
     assert!(queries.len() > 20);
     for q in &queries {
@@ -137,8 +161,17 @@ fn queries_lie_in_the_masks() {
         assert!(BoxScene::moves(hit.body) && (hit.depth - z).abs() < 1e-3);
     }
     assert_eq!(ask(QueryGrid { most: 9, ..all }).unwrap().len(), 9);
-    let zero = ask(QueryGrid { spacing_px: 0, ..all });
-    assert!(matches!(zero, Err(TrackError::Setting { name: "spacing_px", .. })));
+    let zero = ask(QueryGrid {
+        spacing_px: 0,
+        ..all
+    });
+    assert!(matches!(
+        zero,
+        Err(TrackError::Setting {
+            name: "spacing_px",
+            ..
+        })
+    ));
 }
 
 #[test]
@@ -152,7 +185,10 @@ fn untrackable_input_is_reported_and_static_scene_is_not_an_error() {
     }
     assert_eq!(follow(&clip(&capture), &grid, &Silent).unwrap().count(), 0);
     capture.frames[2].rgb = Plane::filled(32, 24, [0; 3]);
-    assert!(matches!(follow(&clip(&capture), &grid, &Silent), Err(TrackError::Frame { frame: 2, .. })));
+    assert!(matches!(
+        follow(&clip(&capture), &grid, &Silent),
+        Err(TrackError::Frame { frame: 2, .. })
+    ));
     capture.frames.clear();
     assert_eq!(follow(&clip(&capture), &grid, &Silent).unwrap().frames(), 0);
 }

@@ -8,7 +8,8 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// A file that has its own name only from [`AtomicFile::commit`] on; dropped before that, it leaves nothing behind.
+/// A file that has its own name only from [`AtomicFile::commit`] on; dropped before that, it leaves
+/// nothing behind.
 #[derive(Debug)]
 pub struct AtomicFile {
     target: PathBuf,
@@ -18,12 +19,16 @@ pub struct AtomicFile {
 }
 
 impl AtomicFile {
-    /// Starts to write `target`; makes its folder if that is missing. A link is followed: the file that it names is replaced.
-    /// Errors: the failure of the file system; also those of [`check`].
+    /// Starts to write `target`; makes its folder if that is missing. A link is followed: the file
+    /// that it names is replaced. Errors: the failure of the file system; also those of [`check`].
     pub fn create(target: &Path) -> io::Result<Self> {
         check(target)?;
         let is_link = fs::symlink_metadata(target).is_ok_and(|kind| kind.is_symlink());
-        let target = &if is_link { target.canonicalize()? } else { target.to_path_buf() };
+        let target = &if is_link {
+            target.canonicalize()?
+        } else {
+            target.to_path_buf()
+        };
         let name = target.file_name().ok_or_else(no_file)?;
         let folder = match target.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
@@ -35,10 +40,15 @@ impl AtomicFile {
         hidden.push(format!(".tmp-{}", std::process::id()));
         let temporary = folder.join(hidden);
         let file = File::create(&temporary)?;
-        Ok(Self { target: target.to_path_buf(), temporary, writer: Some(BufWriter::new(file)) })
+        Ok(Self {
+            target: target.to_path_buf(),
+            temporary,
+            writer: Some(BufWriter::new(file)),
+        })
     }
 
-    /// Where the bytes are until [`AtomicFile::commit`]: for checking them before they are published.
+    /// Where the bytes are until [`AtomicFile::commit`]: for checking them before they are
+    /// published.
     #[must_use]
     pub fn temporary_path(&self) -> &Path {
         &self.temporary
@@ -64,7 +74,9 @@ impl AtomicFile {
     }
 
     fn open(&mut self) -> io::Result<&mut BufWriter<File>> {
-        self.writer.as_mut().ok_or_else(|| io::Error::other("the file was closed already"))
+        self.writer
+            .as_mut()
+            .ok_or_else(|| io::Error::other("the file was closed already"))
     }
 }
 
@@ -94,22 +106,25 @@ impl Drop for AtomicFile {
     }
 }
 
-/// Refuses what cannot be replaced by a file. Errors: `target` names no file (`/`, `..`), is a link to nothing, or is a folder, a device, a
-/// socket or a pipe.
+/// Refuses what cannot be replaced by a file. Errors: `target` names no file (`/`, `..`), is a link
+/// to nothing, or is a folder, a device, a socket or a pipe.
 pub fn check(target: &Path) -> io::Result<()> {
     target.file_name().ok_or_else(no_file)?;
     let is_link = fs::symlink_metadata(target).is_ok_and(|kind| kind.is_symlink());
     match fs::metadata(target) {
         Ok(kind) if kind.is_file() => Ok(()),
-        Ok(kind) if kind.is_dir() => {
-            Err(io::Error::new(io::ErrorKind::IsADirectory, "the path is a folder that exists"))
-        }
-        Ok(_) => {
-            Err(io::Error::new(io::ErrorKind::InvalidInput, "the path is a device, a socket or a pipe, and no file"))
-        }
-        Err(error) if is_link => {
-            Err(io::Error::new(io::ErrorKind::InvalidInput, format!("the path is a link that leads nowhere ({error})")))
-        }
+        Ok(kind) if kind.is_dir() => Err(io::Error::new(
+            io::ErrorKind::IsADirectory,
+            "the path is a folder that exists",
+        )),
+        Ok(_) => Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "the path is a device, a socket or a pipe, and no file",
+        )),
+        Err(error) if is_link => Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            format!("the path is a link that leads nowhere ({error})"),
+        )),
         // Missing, or in a folder that cannot be read: the attempt to write says why.
         Err(_) => Ok(()),
     }
@@ -122,18 +137,24 @@ fn no_file() -> io::Error {
 /// Whether a file of this name is what a process that was killed left of any file.
 #[must_use]
 pub fn is_temporary(name: &str) -> bool {
-    name.rsplit_once(".tmp-")
-        .is_some_and(|(start, _)| start.strip_prefix('.').is_some_and(|of| !of.is_empty() && is_temporary_of(name, of)))
+    name.rsplit_once(".tmp-").is_some_and(|(start, _)| {
+        start
+            .strip_prefix('.')
+            .is_some_and(|of| !of.is_empty() && is_temporary_of(name, of))
+    })
 }
 
 /// Whether a file of this name is what a process that was killed left of one to be called `of`.
 #[must_use]
 pub fn is_temporary_of(name: &str, of: &str) -> bool {
-    let process = name.strip_prefix('.').and_then(|name| name.strip_prefix(of)?.strip_prefix(".tmp-"));
+    let process = name
+        .strip_prefix('.')
+        .and_then(|name| name.strip_prefix(of)?.strip_prefix(".tmp-"));
     process.is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
 }
 
-/// Makes the rename durable, where the system lets a folder be opened; the file's own bytes are safe by now.
+/// Makes the rename durable, where the system lets a folder be opened; the file's own bytes are
+/// safe by now.
 pub(crate) fn sync_folder(target: &Path) {
     let folder = target.parent().filter(|p| !p.as_os_str().is_empty());
     if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
@@ -141,7 +162,8 @@ pub(crate) fn sync_folder(target: &Path) {
     }
 }
 
-/// Writes `bytes` to `path`, atomically. Errors: the failure of the file system; `path` is then as it was before.
+/// Writes `bytes` to `path`, atomically. Errors: the failure of the file system; `path` is then as
+/// it was before.
 pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = AtomicFile::create(path)?;
     file.write_all(bytes)?;
@@ -162,8 +184,17 @@ mod tests {
         let mut file = AtomicFile::create(&path).unwrap();
         file.write_all(b"new and longer").unwrap();
         file.sync().unwrap();
-        let temporary = file.temporary_path().file_name().unwrap().to_str().unwrap().to_owned();
-        assert!(super::is_temporary_of(&temporary, "scene.bin") && !super::is_temporary_of(&temporary, "scene"));
+        let temporary = file
+            .temporary_path()
+            .file_name()
+            .unwrap()
+            .to_str()
+            .unwrap()
+            .to_owned();
+        assert!(
+            super::is_temporary_of(&temporary, "scene.bin")
+                && !super::is_temporary_of(&temporary, "scene")
+        );
         assert!(!super::is_temporary_of("scene.bin", "scene.bin"));
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(fs::read(file.temporary_path()).unwrap(), b"new and longer");

@@ -39,7 +39,8 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-/// The file of tracks that [`write()`] puts beside the list of training frames, if there are tracks.
+/// The file of tracks that [`write()`] puts beside the list of training frames, if there are
+/// tracks.
 pub const TRACKS_FILE: &str = "tracks.npz";
 /// Bytes of eight pixels: colour, 16-bit depth and mask, 3 + 2 + 1/8 per pixel.
 const BYTES_PER_8_PIXELS: u64 = 41;
@@ -54,7 +55,8 @@ pub enum Split {
     Test,
     /// Held-out views close to the training camera, for scoring alone; benchmark scenes have them.
     Near,
-    /// Held-out views of the training camera between training frames, for scoring alone; benchmark scenes have them.
+    /// Held-out views of the training camera between training frames, for scoring alone; benchmark
+    /// scenes have them.
     Between,
 }
 
@@ -80,14 +82,33 @@ impl Split {
         }
     }
 
-    /// Folders of the images, depth maps, masks, maps of motion and maps of instances that are written.
+    /// Folders of the images, depth maps, masks, maps of motion and maps of instances that are
+    /// written.
     #[must_use]
     pub fn folders(self) -> [&'static str; 5] {
         match self {
             Self::Train => ["train", "depth", "mask", "motion", "instance"],
-            Self::Test => ["test", "test_depth", "test_mask", "test_motion", "test_instance"],
-            Self::Near => ["near", "near_depth", "near_mask", "near_motion", "near_instance"],
-            Self::Between => ["between", "between_depth", "between_mask", "between_motion", "between_instance"],
+            Self::Test => [
+                "test",
+                "test_depth",
+                "test_mask",
+                "test_motion",
+                "test_instance",
+            ],
+            Self::Near => [
+                "near",
+                "near_depth",
+                "near_mask",
+                "near_motion",
+                "near_instance",
+            ],
+            Self::Between => [
+                "between",
+                "between_depth",
+                "between_mask",
+                "between_motion",
+                "between_instance",
+            ],
         }
     }
 }
@@ -96,22 +117,28 @@ impl Split {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptureOptions {
-    /// Bytes that the decoded frames (about 5 per pixel: colour, depth and mask) may take before reading is
-    /// refused, and each array of the tracks. Default 4 GiB: half of the memory of a small laptop.
+    /// Bytes that the decoded frames (about 5 per pixel: colour, depth and mask) may take before
+    /// reading is refused, and each array of the tracks. Default 4 GiB: half of the memory of a
+    /// small laptop.
     pub max_memory_bytes: u64,
-    /// Which files the list of frames may name. Not a setting: only the command line can allow more.
+    /// Which files the list of frames may name. Not a setting: only the command line can allow
+    /// more.
     #[serde(skip)]
     pub reach: Reach,
 }
 
 impl Default for CaptureOptions {
     fn default() -> Self {
-        Self { max_memory_bytes: 4 << 30, reach: Reach::Inside }
+        Self {
+            max_memory_bytes: 4 << 30,
+            reach: Reach::Inside,
+        }
     }
 }
 
 /// Reads a split of a capture: `path` is its folder or one of its JSON files. The layout is that of
-/// [this module](self); frames come sorted by time, poses in OpenCV axes, lens distortion is removed.
+/// [this module](self); frames come sorted by time, poses in OpenCV axes, lens distortion is
+/// removed.
 ///
 /// What was assumed (missing times) is reported to `progress`.
 pub fn read(
@@ -120,20 +147,34 @@ pub fn read(
     options: &CaptureOptions,
     progress: &dyn Progress,
 ) -> Result<Capture, ReadError> {
-    let folder = if path.is_dir() { Some(path) } else { path.parent() };
+    let folder = if path.is_dir() {
+        Some(path)
+    } else {
+        path.parent()
+    };
     if let Some(Err(error)) = folder.map(results::settle) {
         let hint = "the capture was being replaced, which must end before it is read";
         return Err(Fault::unavailable(error.to_string(), hint).at(path));
     }
     let file = list_of_frames(path, split);
     if !file.exists() {
-        let is_link = file.symlink_metadata().is_ok_and(|facts| facts.is_symlink());
-        let what = if is_link { "it is a link that leads nowhere, or in a circle" } else { "it does not exist" };
-        let what = format!("{what}; a capture is a folder with transforms_train.json, or such a file");
+        let is_link = file
+            .symlink_metadata()
+            .is_ok_and(|facts| facts.is_symlink());
+        let what = if is_link {
+            "it is a link that leads nowhere, or in a circle"
+        } else {
+            "it does not exist"
+        };
+        let what =
+            format!("{what}; a capture is a folder with transforms_train.json, or such a file");
         return Err(Fault::Io(io::Error::new(io::ErrorKind::NotFound, what)).at(&file));
     }
-    let options =
-        ImportOptions { max_memory_bytes: options.max_memory_bytes, reach: options.reach, ..ImportOptions::default() };
+    let options = ImportOptions {
+        max_memory_bytes: options.max_memory_bytes,
+        reach: options.reach,
+        ..ImportOptions::default()
+    };
     let listing = list_capture(&file, split != Split::Train, &options, progress)?;
     Ok(load(&file, listing, BYTES_PER_8_PIXELS, &options, progress)?.train)
 }
@@ -145,27 +186,42 @@ fn list_of_frames(path: &Path, split: Split) -> PathBuf {
     }
     let named = path.join(split.file_name());
     let lone = path.join("transforms.json");
-    if split == Split::Train && !named.exists() && lone.exists() { lone } else { named }
+    if split == Split::Train && !named.exists() && lone.exists() {
+        lone
+    } else {
+        named
+    }
 }
 
 /// Steps of a 16-bit depth map.
 const MAX_STEPS: f64 = 65535.0;
-/// Steps that the nearest percent of all depths should have at least: rounding costs at most 0.25 % of the depth.
+/// Steps that the nearest percent of all depths should have at least: rounding costs at most 0.25 %
+/// of the depth.
 const MIN_STEPS: f64 = 200.0;
 
 /// Writes one split of a capture to `folder` in the layout of [this module](self): images, masks
 /// and depth as PNG, so that colours and masks come back bit by bit and poses too.
 ///
-/// The list of frames is removed first and written last: a folder that was left half-way is not taken for a capture.
-/// `progress` hears of depths that 16 bits cannot hold. Fails when the file system refuses, a pose or time is NaN, or the
-/// caller asked to stop.
-pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Progress) -> Result<(), WriteError> {
+/// The list of frames is removed first and written last: a folder that was left half-way is not
+/// taken for a capture. `progress` hears of depths that 16 bits cannot hold. Fails when the file
+/// system refuses, a pose or time is NaN, or the caller asked to stop.
+pub fn write(
+    folder: &Path,
+    capture: &Capture,
+    split: Split,
+    progress: &dyn Progress,
+) -> Result<(), WriteError> {
     let list = folder.join(split.file_name());
     let io = |e| WriteError::io(&list, e);
-    if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
+    if let Some(tracks) = capture
+        .tracks
+        .as_ref()
+        .filter(|t| t.frames() != capture.frames.len())
+    {
         let (n, of) = (capture.frames.len(), tracks.frames());
-        let what =
-            format!("the capture has {n} frames but tracks over {of}; compute tracks of these frames, or remove them");
+        let what = format!(
+            "the capture has {n} frames but tracks over {of}; compute tracks of these frames, or remove them"
+        );
         return Err(WriteError::bad(&list, what));
     }
     let unit = depth_unit(capture);
@@ -181,13 +237,20 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
     }
     let pairs: Vec<(&CaptureFrame, &Frame)> = capture.frames.iter().zip(&frames).collect();
     let stopped = || WriteError::cancelled(&list);
-    let tracks_path = capture.tracks.as_ref().map(|_| split.tracks_file().to_owned());
+    let tracks_path = capture
+        .tracks
+        .as_ref()
+        .map(|_| split.tracks_file().to_owned());
     // tracks are compressed by one thread
     let (clipped, tracks) = rayon::join(
         || {
-            in_parallel("write frames", &pairs, progress, stopped, |_, (frame, entry)| {
-                images(folder, frame, entry, unit)
-            })
+            in_parallel(
+                "write frames",
+                &pairs,
+                progress,
+                stopped,
+                |_, (frame, entry)| images(folder, frame, entry, unit),
+            )
         },
         || match (&tracks_path, &capture.tracks) {
             (Some(name), Some(tracks)) => {
@@ -207,7 +270,10 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
     }
 
     let transforms = Transforms {
-        lens: LensKeys { camera_model: Some("OPENCV".to_owned()), ..LensKeys::default() },
+        lens: LensKeys {
+            camera_model: Some("OPENCV".to_owned()),
+            ..LensKeys::default()
+        },
         depth_unit_scale_factor: Some(unit),
         axes: Some(Axes::OpenGl),
         metric: Some(capture.metric),
@@ -229,22 +295,41 @@ fn entry(
     index: usize,
     frame: &CaptureFrame,
 ) -> Result<Frame, WriteError> {
-    let bad = |what: String| WriteError::bad(list, format!("frame {index} ({:?}): {what}", frame.name));
+    let bad =
+        |what: String| WriteError::bad(list, format!("frame {index} ({:?}): {what}", frame.name));
     let time = frame.t / (time_frames.max(2) - 1) as f64;
     if !(0.0..=1.0).contains(&time) {
         let last = time_frames.max(1) - 1;
-        return Err(bad(format!("t = {}; 0 to {last} frames were expected", frame.t)));
+        return Err(bad(format!(
+            "t = {}; 0 to {last} frames were expected",
+            frame.t
+        )));
     }
     let k = &frame.camera.intrinsics;
     let numbers = [k.fx, k.fy, k.cx, k.cy];
-    if !frame.camera.c2w.matrix().iter().chain(&numbers).all(|v| v.is_finite()) {
-        return Err(bad(format!("its camera holds a NaN or infinite value: {:?}", frame.camera)));
+    if !frame
+        .camera
+        .c2w
+        .matrix()
+        .iter()
+        .chain(&numbers)
+        .all(|v| v.is_finite())
+    {
+        return Err(bad(format!(
+            "its camera holds a NaN or infinite value: {:?}",
+            frame.camera
+        )));
     }
     if frame.rgb.size() != (k.width, k.height) {
         let (w, h) = frame.rgb.size();
-        return Err(bad(format!("its image is {w} x {h} but its camera {} x {}", k.width, k.height)));
+        return Err(bad(format!(
+            "its image is {w} x {h} but its camera {} x {}",
+            k.width, k.height
+        )));
     }
-    let [image, depth, mask, motion, instances] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
+    let [image, depth, mask, motion, instances] = split
+        .folders()
+        .map(|folder| format!("{folder}/{index:05}.png"));
     Ok(Frame {
         file_path: image,
         depth_file_path: frame.depth.as_ref().map(|_| depth),
@@ -259,14 +344,23 @@ fn entry(
 }
 
 /// Writes what belongs to one frame; how many depths were too far.
-fn images(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Result<usize, WriteError> {
+fn images(
+    folder: &Path,
+    frame: &CaptureFrame,
+    entry: &Frame,
+    unit: f64,
+) -> Result<usize, WriteError> {
     image::write_rgb(&folder.join(&entry.file_path), &frame.rgb)?;
     let mut far = 0;
     if let (Some(path), Some(depth)) = (&entry.depth_file_path, &frame.depth) {
         let depth = depth.to_map();
         image::write_depth(&folder.join(path), &depth, unit)?;
         let limit = (MAX_STEPS + 0.5) * unit;
-        far = depth.data().iter().filter(|&&z| f64::from(z) > limit).count();
+        far = depth
+            .data()
+            .iter()
+            .filter(|&&z| f64::from(z) > limit)
+            .count();
     }
     if let (Some(path), Some(mask)) = (&entry.mask_path, &frame.mask) {
         image::write_mask(&folder.join(path), &mask.to_mask())?;
@@ -280,7 +374,8 @@ fn images(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Resu
     Ok(far)
 }
 
-/// Scene units per step of depth maps: the finest with which the farthest depth fits, unless the near would become coarse.
+/// Scene units per step of depth maps: the finest with which the farthest depth fits, unless the
+/// near would become coarse.
 fn depth_unit(capture: &Capture) -> f64 {
     let mut known: Vec<f32> = capture
         .frames
@@ -290,7 +385,11 @@ fn depth_unit(capture: &Capture) -> f64 {
         .flat_map(|d| d.every(16))
         .filter(|z| z.is_finite() && *z > 0.0)
         .collect();
-    let depths = capture.frames.iter().filter_map(|f| f.depth.as_ref()).flat_map(|d| d.every(1));
+    let depths = capture
+        .frames
+        .iter()
+        .filter_map(|f| f.depth.as_ref())
+        .flat_map(|d| d.every(1));
     let farthest = depths.filter(|z| z.is_finite()).fold(0.0, f32::max);
     if known.is_empty() || farthest <= 0.0 {
         return 1e-3;

@@ -1,4 +1,5 @@
-//! Opens regular files, reads whole files within a limit, lists the files of a folder, and works on frames in parallel.
+//! Opens regular files, reads whole files within a limit, lists the files of a folder, and works on
+//! frames in parallel.
 
 use crate::error::AtPath;
 use crate::{Fault, ReadError};
@@ -11,7 +12,8 @@ use std::io::{self, ErrorKind, Read};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{self, AtomicUsize};
 
-/// Longest list of frames that is read, bytes: a frame takes some kilobytes, and a hundred thousand frames are no clip.
+/// Longest list of frames that is read, bytes: a frame takes some kilobytes, and a hundred thousand
+/// frames are no clip.
 const MAX_TEXT_BYTES: u64 = 256 << 20;
 
 /// Memory that reading may take beside [`PER_BYTE`], bytes.
@@ -19,9 +21,12 @@ pub(crate) const FREE_BYTES: u64 = 64 << 20;
 /// Bytes of memory per byte of the file.
 const PER_BYTE: u64 = 64;
 
-/// Memory that reading a file may take, bytes; what it takes in the end is limited by those who keep it (`max_memory_bytes`).
+/// Memory that reading a file may take, bytes; what it takes in the end is limited by those who
+/// keep it (`max_memory_bytes`).
 pub(crate) fn memory_for(file_bytes: u64) -> u64 {
-    file_bytes.saturating_mul(PER_BYTE).saturating_add(FREE_BYTES)
+    file_bytes
+        .saturating_mul(PER_BYTE)
+        .saturating_add(FREE_BYTES)
 }
 
 /// How much of [`FREE_BYTES`] a file takes that needs so much memory.
@@ -47,12 +52,13 @@ pub(crate) fn within_memory(what: &str, needed_bytes: u64, file_bytes: u64) -> R
 
 /// Opens a regular file to read.
 ///
-/// The type is asked for before the file is opened, since opening a pipe waits for its writer, and of the handle again. Every file that
-/// a user or another file names is opened here.
+/// The type is asked for before the file is opened, since opening a pipe waits for its writer, and
+/// of the handle again. Every file that a user or another file names is opened here.
 ///
 /// # Errors
 ///
-/// The error of the system; `InvalidData` with the type for a pipe, a socket or a device, which may never end.
+/// The error of the system; `InvalidData` with the type for a pipe, a socket or a device, which may
+/// never end.
 pub fn open(path: &Path) -> io::Result<File> {
     check(path)?;
     let file = File::open(path)?;
@@ -96,7 +102,9 @@ pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
 /// As [`read`]; `InvalidData` for bytes that are not UTF-8.
 pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
     let bytes = read(path, limit_bytes)?;
-    utf8(&bytes).map(str::to_owned).map_err(|(at, fault)| invalid(format!("byte {at}: {fault}")))
+    utf8(&bytes)
+        .map(str::to_owned)
+        .map_err(|(at, fault)| invalid(format!("byte {at}: {fault}")))
 }
 
 /// Refuses what has no end, or none that is known before.
@@ -143,15 +151,25 @@ pub fn without_mark(bytes: &[u8]) -> &[u8] {
 /// A text file.
 pub(crate) fn text(path: &Path) -> Result<String, ReadError> {
     let bytes = read(path, MAX_TEXT_BYTES).at(path)?;
-    utf8(&bytes).map(str::to_owned).map_err(|(at, fault)| fault.within(path, format!("byte {at}")))
+    utf8(&bytes)
+        .map(str::to_owned)
+        .map_err(|(at, fault)| fault.within(path, format!("byte {at}")))
 }
 
 /// The text in the bytes of a file, or the first byte that is none.
 pub(crate) fn utf8(bytes: &[u8]) -> Result<&str, (usize, Fault)> {
     std::str::from_utf8(without_mark(bytes)).map_err(|e| {
         let wide = bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]);
-        let what = if wide { "it is UTF-16 text, as its byte order mark says" } else { "it is not text (UTF-8)" };
-        let hint = if wide { "save it as UTF-8" } else { "give the text file that the tool wrote" };
+        let what = if wide {
+            "it is UTF-16 text, as its byte order mark says"
+        } else {
+            "it is not text (UTF-8)"
+        };
+        let hint = if wide {
+            "save it as UTF-8"
+        } else {
+            "give the text file that the tool wrote"
+        };
         (e.valid_up_to(), Fault::bad(what, hint))
     })
 }
@@ -175,15 +193,20 @@ pub(crate) fn parse_json<T: DeserializeOwned>(text: &str) -> Result<T, Fault> {
     })
 }
 
-/// The files of a folder whose extension is one of `extensions` (small letters), in natural order: `2.png` before `10.png`.
-/// Hidden files are passed over; an empty list is no error.
+/// The files of a folder whose extension is one of `extensions` (small letters), in natural order:
+/// `2.png` before `10.png`. Hidden files are passed over; an empty list is no error.
 pub(crate) fn listed(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, ReadError> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).at(folder)? {
         let file = entry.at(folder)?.path();
-        let hidden = file.file_name().is_none_or(|n| n.to_string_lossy().starts_with('.'));
-        let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
-        if !hidden && extension.is_some_and(|e| extensions.contains(&e.as_str())) && file.is_file() {
+        let hidden = file
+            .file_name()
+            .is_none_or(|n| n.to_string_lossy().starts_with('.'));
+        let extension = file
+            .extension()
+            .map(|e| e.to_string_lossy().to_ascii_lowercase());
+        if !hidden && extension.is_some_and(|e| extensions.contains(&e.as_str())) && file.is_file()
+        {
             files.push(file);
         }
     }
@@ -193,7 +216,10 @@ pub(crate) fn listed(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>,
 
 /// The name without folders and extension.
 pub(crate) fn stem(path: &Path) -> String {
-    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    path.file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
 }
 
 /// `name`, as a file lists it, below `folder`; names that lead out of it are refused.
@@ -216,7 +242,8 @@ pub(crate) fn first_bytes<const N: usize>(path: &Path) -> Vec<u8> {
     start
 }
 
-/// Calls `one` for each of `frames` and its index, in parallel; the results in order, or the first error (`stopped`).
+/// Calls `one` for each of `frames` and its index, in parallel; the results in order, or the first
+/// error (`stopped`).
 pub(crate) fn in_parallel<T: Sync, U: Send, E: Send>(
     phase: &str,
     frames: &[T],
@@ -249,7 +276,9 @@ pub(crate) fn natural(a: &str, b: &str) -> Ordering {
             let d = d.trim_start_matches('0').to_owned();
             (d.len(), d)
         };
-        let order = a_text.cmp(b_text).then_with(|| number(a_digits).cmp(&number(b_digits)));
+        let order = a_text
+            .cmp(b_text)
+            .then_with(|| number(a_digits).cmp(&number(b_digits)));
         if order != Ordering::Equal {
             return order;
         }
@@ -264,7 +293,9 @@ pub(crate) fn natural(a: &str, b: &str) -> Ordering {
 fn split(s: &str) -> (&str, &str, &str) {
     let start = s.find(|c: char| c.is_ascii_digit()).unwrap_or(s.len());
     let (text, rest) = s.split_at(start);
-    let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+    let end = rest
+        .find(|c: char| !c.is_ascii_digit())
+        .unwrap_or(rest.len());
     let (digits, rest) = rest.split_at(end);
     (text, digits, rest)
 }
@@ -281,11 +312,27 @@ mod tests {
         let path = dir.path().join("a");
         std::fs::write(&path, "four").unwrap();
         assert_eq!(read(&path, 4).unwrap(), b"four");
-        assert!(read(&path, 3).unwrap_err().to_string().contains("above the limit"));
-        assert_eq!(read(dir.path(), 4).unwrap_err().kind(), ErrorKind::IsADirectory);
-        assert_eq!(read(&dir.path().join("none"), 4).unwrap_err().kind(), ErrorKind::NotFound);
+        assert!(
+            read(&path, 3)
+                .unwrap_err()
+                .to_string()
+                .contains("above the limit")
+        );
+        assert_eq!(
+            read(dir.path(), 4).unwrap_err().kind(),
+            ErrorKind::IsADirectory
+        );
+        assert_eq!(
+            read(&dir.path().join("none"), 4).unwrap_err().kind(),
+            ErrorKind::NotFound
+        );
         std::fs::write(&path, [b'a', 0xff]).unwrap();
-        assert!(read_text(&path, 4).unwrap_err().to_string().contains("byte 1"));
+        assert!(
+            read_text(&path, 4)
+                .unwrap_err()
+                .to_string()
+                .contains("byte 1")
+        );
     }
 
     #[cfg(unix)]
@@ -293,10 +340,22 @@ mod tests {
     fn pipes_and_devices_are_refused_without_being_opened() {
         let dir = tempfile::tempdir().unwrap();
         let pipe = dir.path().join("pipe");
-        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-        for (path, word) in [(pipe.as_path(), "a pipe"), (std::path::Path::new("/dev/zero"), "a device")] {
+        assert!(
+            std::process::Command::new("mkfifo")
+                .arg(&pipe)
+                .status()
+                .unwrap()
+                .success()
+        );
+        for (path, word) in [
+            (pipe.as_path(), "a pipe"),
+            (std::path::Path::new("/dev/zero"), "a device"),
+        ] {
             let error = read(path, u64::MAX).unwrap_err();
-            assert!(error.kind() == ErrorKind::InvalidData && error.to_string().contains(word), "{error}");
+            assert!(
+                error.kind() == ErrorKind::InvalidData && error.to_string().contains(word),
+                "{error}"
+            );
         }
     }
 

@@ -7,11 +7,13 @@ use m4_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Largest entry of `R^T R - I` that is taken for rounding: matrices are often printed with few digits.
+/// Largest entry of `R^T R - I` that is taken for rounding: matrices are often printed with few
+/// digits.
 const ORTHONORMAL_WITHIN: f64 = 2e-3;
 /// Up to here (f32 rounding) the rotation is taken as it is; beyond, it is made orthonormal.
 const EXACT_WITHIN: f64 = 1e-6;
-/// How far the length of a quaternion may be from 1: what printing with few digits and an optimiser leave.
+/// How far the length of a quaternion may be from 1: what printing with few digits and an optimiser
+/// leave.
 const UNIT_WITHIN: f64 = 1e-2;
 const HINT: &str = "correct the pose in the source, or drop the frame";
 
@@ -27,7 +29,8 @@ pub enum Axes {
 }
 
 impl Axes {
-    /// A pose in these axes as a pose in OpenCV axes, or back: both ways the camera's y and z turn round.
+    /// A pose in these axes as a pose in OpenCV axes, or back: both ways the camera's y and z turn
+    /// round.
     #[must_use]
     pub fn to_opencv(self, c2w: &Se3<f64>) -> Se3<f64> {
         let mut turned = *c2w;
@@ -39,24 +42,36 @@ impl Axes {
     }
 }
 
-/// The rigid motion of the rows of a 3x4 or 4x4 matrix, made orthonormal if printed digits cost that; `name` is for messages.
+/// The rigid motion of the rows of a 3x4 or 4x4 matrix, made orthonormal if printed digits cost
+/// that; `name` is for messages.
 pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64>, Fault> {
     let bad = |what: String| Err(Fault::bad(format!("{name} {what}"), HINT));
-    let width = rows.iter().map(|r| r.as_ref().len()).find(|&n| n != 4).unwrap_or(4);
+    let width = rows
+        .iter()
+        .map(|r| r.as_ref().len())
+        .find(|&n| n != 4)
+        .unwrap_or(4);
     let height = rows.len();
     if !(3..=4).contains(&height) || width != 4 {
-        return bad(format!("has {height} rows of {width} numbers where 4 rows of 4 were expected"));
+        return bad(format!(
+            "has {height} rows of {width} numbers where 4 rows of 4 were expected"
+        ));
     }
     let at = |i: usize, j: usize| rows[i].as_ref()[j];
     if let Some(k) = (0..4 * height).find(|k| !at(k / 4, k % 4).is_finite()) {
         let (row, column) = (k / 4, k % 4);
-        return bad(format!("holds {} in row {row}, column {column}", at(row, column)));
+        return bad(format!(
+            "holds {} in row {row}, column {column}",
+            at(row, column)
+        ));
     }
     if height == 4 {
         let last = [at(3, 0), at(3, 1), at(3, 2), at(3, 3)];
         let off = [last[0], last[1], last[2], last[3] - 1.0];
         if off.iter().any(|v| v.abs() > EXACT_WITHIN) {
-            return bad(format!("ends with the row {last:?} where [0, 0, 0, 1] was expected (is it transposed?)"));
+            return bad(format!(
+                "ends with the row {last:?} where [0, 0, 0, 1] was expected (is it transposed?)"
+            ));
         }
     }
     let translation = Vector3::new(at(0, 3), at(1, 3), at(2, 3));
@@ -72,10 +87,18 @@ pub(crate) fn of_rows<R: AsRef<[f64]>>(name: &str, rows: &[R]) -> Result<Se3<f64
              columns differ from orthonormal by {off:.2e}"
         ));
     }
-    Ok(Se3 { rotation: if off > EXACT_WITHIN { nearest_rotation(&rotation) } else { rotation }, translation })
+    Ok(Se3 {
+        rotation: if off > EXACT_WITHIN {
+            nearest_rotation(&rotation)
+        } else {
+            rotation
+        },
+        translation,
+    })
 }
 
-/// Newton's iteration for the orthogonal polar factor: three steps take an error of 2e-3 under rounding (quadratic).
+/// Newton's iteration for the orthogonal polar factor: three steps take an error of 2e-3 under
+/// rounding (quadratic).
 fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
     (0..3).fold(*m, |r, _| match r.try_inverse() {
         Some(inverse) => (r + inverse.transpose()) * 0.5,
@@ -83,15 +106,26 @@ fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
     })
 }
 
-/// The rigid motion of a matrix of 12 (3x4) or 16 (4x4) numbers, row by row; `name` is for messages.
+/// The rigid motion of a matrix of 12 (3x4) or 16 (4x4) numbers, row by row; `name` is for
+/// messages.
 pub(crate) fn of_matrix(name: &str, numbers: &[f64]) -> Result<Se3<f64>, Fault> {
     let rows: Vec<&[f64]> = numbers.chunks(4).collect();
     of_rows(name, &rows)
 }
 
 /// The rigid motion of the rows of a rotation and a translation.
-pub(crate) fn of_rotation(rotation: [[f64; 3]; 3], translation: [f64; 3]) -> Result<Se3<f64>, Fault> {
-    let row = |i: usize| [rotation[i][0], rotation[i][1], rotation[i][2], translation[i]];
+pub(crate) fn of_rotation(
+    rotation: [[f64; 3]; 3],
+    translation: [f64; 3],
+) -> Result<Se3<f64>, Fault> {
+    let row = |i: usize| {
+        [
+            rotation[i][0],
+            rotation[i][1],
+            rotation[i][2],
+            translation[i],
+        ]
+    };
     of_rows("the pose", &[row(0), row(1), row(2)])
 }
 
@@ -106,9 +140,17 @@ pub(crate) fn of_quaternion(place: [f64; 3], [w, x, y, z]: [f64; 4]) -> Result<S
     // false for NaN
     let is_unit = (length - 1.0).abs() <= UNIT_WITHIN;
     if !is_unit {
-        return Err(Fault::bad(format!("the quaternion of the camera has length {length:.4}; 1 was expected"), HINT));
+        return Err(Fault::bad(
+            format!("the quaternion of the camera has length {length:.4}; 1 was expected"),
+            HINT,
+        ));
     }
-    Ok(Se3 { rotation: UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner(), translation })
+    Ok(Se3 {
+        rotation: UnitQuaternion::new_normalize(q)
+            .to_rotation_matrix()
+            .into_inner(),
+        translation,
+    })
 }
 
 #[cfg(test)]
@@ -121,22 +163,30 @@ mod tests {
 
     fn rows(pose: &Se3<f64>) -> Vec<Vec<f64>> {
         let m = pose.matrix();
-        (0..4).map(|i| (0..4).map(|j| m[(i, j)]).collect()).collect()
+        (0..4)
+            .map(|i| (0..4).map(|j| m[(i, j)]).collect())
+            .collect()
     }
 
     #[test]
     fn printed_rotations_are_repaired_and_exact_ones_kept() {
         let pose = Se3::<f64>::identity().retract(&Vector6::new(1.0, 2.0, 3.0, 0.4, -0.8, 0.3));
         assert_eq!(of_rows("", &rows(&pose)).unwrap(), pose);
-        let printed: Vec<Vec<f64>> =
-            rows(&pose).iter().map(|r| r.iter().map(|v| (v * 1e3).round() / 1e3).collect()).collect();
+        let printed: Vec<Vec<f64>> = rows(&pose)
+            .iter()
+            .map(|r| r.iter().map(|v| (v * 1e3).round() / 1e3).collect())
+            .collect();
         let got = of_rows("", &printed).unwrap();
         assert!((got.rotation.transpose() * got.rotation - Matrix3::identity()).amax() < 1e-12);
         assert!((got.rotation - pose.rotation).amax() < 2e-3);
         // a quarter about z: x goes to y
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let by_quaternion = of_quaternion([1.0, 2.0, 3.0], [half, 0.0, 0.0, half]).unwrap();
-        let by_rows = of_rotation([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [1.0, 2.0, 3.0]).unwrap();
+        let by_rows = of_rotation(
+            [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+            [1.0, 2.0, 3.0],
+        )
+        .unwrap();
         assert!((by_quaternion.matrix() - by_rows.matrix()).amax() < 1e-15);
     }
 
@@ -154,7 +204,10 @@ mod tests {
             let mut m = rows(&Se3::identity());
             spoil(&mut m);
             let message = of_rows("c2w", &m).unwrap_err().to_string();
-            assert!(message.starts_with("c2w ") && message.contains(says), "{message}");
+            assert!(
+                message.starts_with("c2w ") && message.contains(says),
+                "{message}"
+            );
         }
         for (place, quat) in [
             ([0.0; 3], [0.0; 4]),

@@ -1,4 +1,5 @@
-//! The files that a data set may refer to: a data set from an untrusted source must not bring private files into the result.
+//! The files that a data set may refer to: a data set from an untrusted source must not bring
+//! private files into the result.
 
 use crate::OutsideError;
 use std::path::{Path, PathBuf};
@@ -22,21 +23,33 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// All that is in `folder`, the folder of the data set, or in one of `others`, which the user named.
+    /// All that is in `folder`, the folder of the data set, or in one of `others`, which the user
+    /// named.
     #[must_use]
-    pub fn new<'a>(reach: Reach, folder: &'a Path, others: impl IntoIterator<Item = &'a Path>) -> Self {
+    pub fn new<'a>(
+        reach: Reach,
+        folder: &'a Path,
+        others: impl IntoIterator<Item = &'a Path>,
+    ) -> Self {
         // The parent of a bare file name.
-        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        let folder = if folder.as_os_str().is_empty() {
+            Path::new(".")
+        } else {
+            folder
+        };
         let all = std::iter::once(folder).chain(others);
         Self {
             reach,
             folder: folder.to_path_buf(),
             // In one that is missing no file is.
-            real: all.filter_map(|folder| folder.canonicalize().ok()).collect(),
+            real: all
+                .filter_map(|folder| folder.canonicalize().ok())
+                .collect(),
         }
     }
 
-    /// Refuses a file that lies elsewhere, by its name or by links; what does not exist may be read, which says why it fails.
+    /// Refuses a file that lies elsewhere, by its name or by links; what does not exist may be
+    /// read, which says why it fails.
     pub fn check(&self, file: &Path) -> Result<(), Box<OutsideError>> {
         if self.reach == Reach::Anywhere {
             return Ok(());
@@ -47,7 +60,11 @@ impl Bounds {
         if self.real.iter().any(|folder| real.starts_with(folder)) {
             return Ok(());
         }
-        Err(Box::new(OutsideError { path: file.to_path_buf(), real, folder: self.folder.clone() }))
+        Err(Box::new(OutsideError {
+            path: file.to_path_buf(),
+            real,
+            folder: self.folder.clone(),
+        }))
     }
 }
 
@@ -85,17 +102,30 @@ mod tests {
         ] {
             inside.check(&at(good)).unwrap();
         }
-        let outside =
-            ["private.png", "set/../private.png", "set/link.png", "set/folder/private.png", "set-2/private.png"];
+        let outside = [
+            "private.png",
+            "set/../private.png",
+            "set/link.png",
+            "set/folder/private.png",
+            "set-2/private.png",
+        ];
         for bad in outside {
             let message = inside.check(&at(bad)).unwrap_err().to_string();
-            assert!(message.contains(bad) && message.contains(OUTSIDE), "{message}");
+            assert!(
+                message.contains(bad) && message.contains(OUTSIDE),
+                "{message}"
+            );
         }
         // what a link points to is reported
-        let message = inside.check(&at("set/folder/private.png")).unwrap_err().to_string();
+        let message = inside
+            .check(&at("set/folder/private.png"))
+            .unwrap_err()
+            .to_string();
         assert!(message.contains("set-2/private.png"), "{message}");
         for bad in outside {
-            Bounds::new(Reach::Anywhere, &at("set"), []).check(&at(bad)).unwrap();
+            Bounds::new(Reach::Anywhere, &at("set"), [])
+                .check(&at(bad))
+                .unwrap();
         }
         let two = Bounds::new(Reach::Inside, &at("set"), [at("set-2").as_path()]);
         two.check(&at("set/folder/private.png")).unwrap();
@@ -104,10 +134,17 @@ mod tests {
         let alias = Bounds::new(Reach::Inside, &at("alias"), []);
         alias.check(&at("set/images/a.png")).unwrap();
         // a name longer than the system takes
-        let message = alias.check(Path::new(&"../".repeat(100_000))).unwrap_err().to_string();
+        let message = alias
+            .check(Path::new(&"../".repeat(100_000)))
+            .unwrap_err()
+            .to_string();
         assert!(message.len() < 3000, "{}", message.len());
         let nowhere = Bounds::new(Reach::Inside, &at("nowhere"), []);
         assert!(nowhere.check(&at("private.png")).is_err());
-        assert!(Bounds::new(Reach::Inside, Path::new(""), []).check(Path::new("Cargo.toml")).is_ok());
+        assert!(
+            Bounds::new(Reach::Inside, Path::new(""), [])
+                .check(Path::new("Cargo.toml"))
+                .is_ok()
+        );
     }
 }

@@ -7,8 +7,9 @@
 //! confidence [frames][tracks]    uint8     optional, of the places: 255 is sure (ours; not known to TAPIP3D)
 //! ```
 //!
-//! Other members of the archive are passed over. Files are not trusted: shapes are compared with the clip and with
-//! the memory allowed before anything is read, and no member is read further than its shape says.
+//! Other members of the archive are passed over. Files are not trusted: shapes are compared with
+//! the clip and with the memory allowed before anything is read, and no member is read further than
+//! its shape says.
 
 use crate::error::AtPath;
 use crate::npy::{Array, Header, Npz, Number};
@@ -32,29 +33,67 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
     let coords = npz.need("coords", limit_bytes)?;
     let tracks = match coords.shape[..] {
         [f, tracks, 3] if f == frames => tracks,
-        _ => return Err(unfit("coords", &coords, &format!("({frames} frames, tracks, 3)"))),
+        _ => {
+            return Err(unfit(
+                "coords",
+                &coords,
+                &format!("({frames} frames, tracks, 3)"),
+            ));
+        }
     };
     if coords.number != Number::F32 {
-        return Err(Fault::bad("the array `coords` holds other numbers than float32", "save it as <f4"));
+        return Err(Fault::bad(
+            "the array `coords` holds other numbers than float32",
+            "save it as <f4",
+        ));
     }
     let xyz = coords.numbers()?.values;
-    let xyz: Vec<[f32; 3]> = xyz.as_chunks::<3>().0.iter().map(|p| p.map(|v| v as f32)).collect();
+    let xyz: Vec<[f32; 3]> = xyz
+        .as_chunks::<3>()
+        .0
+        .iter()
+        .map(|p| p.map(|v| v as f32))
+        .collect();
     let strays = |v: &f32| !v.is_nan() && !COORDINATE.contains(&f64::from(*v));
-    if let Some((at, v)) = xyz.iter().enumerate().find_map(|(at, p)| Some((at, *p.iter().find(|v| strays(v))?))) {
+    if let Some((at, v)) = xyz
+        .iter()
+        .enumerate()
+        .find_map(|(at, p)| Some((at, *p.iter().find(|v| strays(v))?)))
+    {
         let (frame, track) = (at / tracks.max(1), at % tracks.max(1));
         let expected = range::words(&COORDINATE, "scene units");
-        let what = format!("the position of track {track} in frame {frame} holds {v:e}; {expected} was expected");
+        let what = format!(
+            "the position of track {track} in frame {frame} holds {v:e}; {expected} was expected"
+        );
         return Err(Fault::bad(what, "unknown positions must be NaN"));
     }
     let a_frame = format!("({frames} frames, {tracks} tracks)");
     let bytes = [Number::Bool, Number::U8, Number::I8];
-    let visible = of_bytes(npz.need("visibs", limit_bytes)?, "visibs", &bytes, &[frames, tracks], &a_frame)?;
+    let visible = of_bytes(
+        npz.need("visibs", limit_bytes)?,
+        "visibs",
+        &bytes,
+        &[frames, tracks],
+        &a_frame,
+    )?;
     let colours = match npz.array("colors", limit_bytes)? {
-        Some(array) => Some(of_bytes(array, "colors", &[Number::U8], &[tracks, 3], &format!("({tracks} tracks, 3)"))?),
+        Some(array) => Some(of_bytes(
+            array,
+            "colors",
+            &[Number::U8],
+            &[tracks, 3],
+            &format!("({tracks} tracks, 3)"),
+        )?),
         None => None,
     };
     let confidence = match npz.array("confidence", limit_bytes)? {
-        Some(array) => Some(of_bytes(array, "confidence", &[Number::U8], &[frames, tracks], &a_frame)?),
+        Some(array) => Some(of_bytes(
+            array,
+            "confidence",
+            &[Number::U8],
+            &[frames, tracks],
+            &a_frame,
+        )?),
         None => None,
     };
 
@@ -65,13 +104,21 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
         made = made.with_confidence_steps(confidence).map_err(wrong)?;
     }
     match colours {
-        Some(rgb) => made.with_colours(rgb.as_chunks::<3>().0.to_vec()).map_err(wrong),
+        Some(rgb) => made
+            .with_colours(rgb.as_chunks::<3>().0.to_vec())
+            .map_err(wrong),
         None => Ok(made),
     }
 }
 
 fn unfit(name: &str, array: &Array<'_>, expected: &str) -> Fault {
-    Fault::bad(format!("its array `{name}` has shape {:?} where {expected} was expected", array.shape), HINT)
+    Fault::bad(
+        format!(
+            "its array `{name}` has shape {:?} where {expected} was expected",
+            array.shape
+        ),
+        HINT,
+    )
 }
 
 /// The bytes of an array that must have this shape and one of these types of a byte.
@@ -86,7 +133,10 @@ fn of_bytes(
         return Err(unfit(name, &array, expected));
     }
     if !types.contains(&array.number) {
-        let what = format!("its array `{name}` holds numbers of type {:?}", array.number);
+        let what = format!(
+            "its array `{name}` holds numbers of type {:?}",
+            array.number
+        );
         return Err(Fault::bad(what, format!("save it as one of {types:?}")));
     }
     let bytes = array.next_bytes(shape.iter().product())?;
@@ -104,10 +154,22 @@ pub fn write(path: &Path, tracks: &Tracks) -> io::Result<()> {
     let visible: Vec<u8> = tracks.visible().iter().map(|&v| u8::from(v)).collect();
     member(&mut zip, "visibs", "|b1", vec![frames, count], &visible)?;
     if let Some(colours) = tracks.colours() {
-        member(&mut zip, "colors", "|u1", vec![count, 3], colours.as_flattened())?;
+        member(
+            &mut zip,
+            "colors",
+            "|u1",
+            vec![count, 3],
+            colours.as_flattened(),
+        )?;
     }
     if let Some(confidence) = tracks.confidence_steps() {
-        member(&mut zip, "confidence", "|u1", vec![frames, count], confidence)?;
+        member(
+            &mut zip,
+            "confidence",
+            "|u1",
+            vec![frames, count],
+            confidence,
+        )?;
     }
     let bytes = zip.finish().map_err(io::Error::from)?;
     atomic::write(path, bytes.get_ref())

@@ -1,8 +1,9 @@
 //! Reads camera paths for rendering.
 //!
-//! Two layouts of JSON are read, distinguished by their keys: `transforms.json` (one camera per image: `frames[]` with
-//! `transform_matrix`, `time`, `fl_x` .. `h`; see [`crate::dataset::nerfstudio`]), and keyframes between which the caller
-//! interpolates ([`Keyed`], described in docs/paths.md).
+//! Two layouts of JSON are read, distinguished by their keys: `transforms.json` (one camera per
+//! image: `frames[]` with `transform_matrix`, `time`, `fl_x` .. `h`; see
+//! [`crate::dataset::nerfstudio`]), and keyframes between which the caller interpolates ([`Keyed`],
+//! described in docs/paths.md).
 
 use crate::dataset::Distortion;
 use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, lens_of};
@@ -22,7 +23,8 @@ const MAX_BYTES: u64 = 64 << 20;
 const MAX_CAMERAS: usize = 100_000;
 /// Largest side of an image to render, pixels.
 const MAX_SIDE_PX: f64 = 16_384.0;
-const HINT: &str = "give a nerfstudio transforms.json, or keyframes as docs/paths.md describes them";
+const HINT: &str =
+    "give a nerfstudio transforms.json, or keyframes as docs/paths.md describes them";
 
 /// The contents of a camera path file.
 #[derive(Debug, Clone, PartialEq)]
@@ -56,11 +58,14 @@ pub fn load(path: &Path, time_frames: usize) -> Result<Trajectory, ReadError> {
     })
 }
 
-/// The cameras of a file that lists them (not of keyframes), each with its moment in frames; as [`load`].
+/// The cameras of a file that lists them (not of keyframes), each with its moment in frames; as
+/// [`load`].
 pub fn read(path: &Path, time_frames: usize) -> Result<Vec<(Camera, f64)>, ReadError> {
     match load(path, time_frames)? {
         Trajectory::Listed(cameras) => Ok(cameras),
-        Trajectory::Keyed(_) => Err(Fault::bad("it holds keyframes", "give a list of cameras").at(path)),
+        Trajectory::Keyed(_) => {
+            Err(Fault::bad("it holds keyframes", "give a list of cameras").at(path))
+        }
     }
 }
 
@@ -69,15 +74,21 @@ fn of_bytes(bytes: &[u8], time_frames: usize) -> Result<Trajectory, BadPath> {
     let probe: Probe = json(bytes)?;
     let count = probe.frames.len().max(probe.keyframes.len());
     if count > MAX_CAMERAS {
-        return Err((None, format!("it has {count} cameras, more than the {MAX_CAMERAS} that are rendered")));
+        return Err((
+            None,
+            format!("it has {count} cameras, more than the {MAX_CAMERAS} that are rendered"),
+        ));
     }
     match probe.format {
         Some(own) if own == FORMAT => Ok(Trajectory::Keyed(keyed(&json(bytes)?)?)),
         Some(other) => Err((None, format!("its format is {other:?}, not {FORMAT:?}"))),
-        None if !probe.frames.is_empty() => Ok(Trajectory::Listed(listed(json(bytes)?, last_frame)?)),
-        None if !probe.keyframes.is_empty() => {
-            Err((None, format!("it has keyframes, but \"format\": {FORMAT:?} is missing")))
+        None if !probe.frames.is_empty() => {
+            Ok(Trajectory::Listed(listed(json(bytes)?, last_frame)?))
         }
+        None if !probe.keyframes.is_empty() => Err((
+            None,
+            format!("it has keyframes, but \"format\": {FORMAT:?} is missing"),
+        )),
         None => Err((None, "it has no frames or keyframes".to_owned())),
     }
 }
@@ -86,7 +97,8 @@ fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, BadPath> {
     serde_json::from_slice(bytes).map_err(|e| (None, e.to_string()))
 }
 
-/// The cameras of a `transforms.json` with the moment of each: `time` (0..1) of the file times `last_frame`.
+/// The cameras of a `transforms.json` with the moment of each: `time` (0..1) of the file times
+/// `last_frame`.
 fn listed(file: Transforms, last_frame: f64) -> Result<Vec<(Camera, f64)>, BadPath> {
     let mut frames = Vec::with_capacity(file.frames.len());
     for (i, value) in file.frames.into_iter().enumerate() {
@@ -98,25 +110,36 @@ fn listed(file: Transforms, last_frame: f64) -> Result<Vec<(Camera, f64)>, BadPa
         let time = match frame.time {
             Some(time) => time,
             None if timed == 0 => i as f64 / (frames.len().max(2) - 1) as f64,
-            None => return Err(format!("time is missing, but {timed} other cameras have one")),
+            None => {
+                return Err(format!(
+                    "time is missing, but {timed} other cameras have one"
+                ));
+            }
         };
         if !(0.0..=1.0).contains(&time) {
             return Err(format!("time = {time}; 0 to 1 was expected"));
         }
-        let rows = frame.transform_matrix.as_ref().ok_or("transform_matrix is missing")?;
+        let rows = frame
+            .transform_matrix
+            .as_ref()
+            .ok_or("transform_matrix is missing")?;
         let pose = pose::of_rows("transform_matrix", rows).map_err(|e| e.to_string())?;
-        let camera =
-            Camera { intrinsics: intrinsics(frame, &file.lens)?, c2w: file.axes.unwrap_or_default().to_opencv(&pose) };
+        let camera = Camera {
+            intrinsics: intrinsics(frame, &file.lens)?,
+            c2w: file.axes.unwrap_or_default().to_opencv(&pose),
+        };
         Ok((camera, time * last_frame))
     };
     let all = frames.iter().enumerate();
-    all.map(|(i, frame)| camera((i, frame)).map_err(|what| (Some(i), what))).collect()
+    all.map(|(i, frame)| camera((i, frame)).map_err(|what| (Some(i), what)))
+        .collect()
 }
 
 fn intrinsics(frame: &Frame, all: &LensKeys) -> Result<Intrinsics, String> {
     let keys = frame.lens.or(all);
     let pixels = |key: &str, value: Option<f64>| {
-        let value = value.ok_or_else(|| format!("{key}, the size of the image in pixels, is missing"))?;
+        let value =
+            value.ok_or_else(|| format!("{key}, the size of the image in pixels, is missing"))?;
         side(key, value)
     };
     let size = (pixels("w", keys.w)?, pixels("h", keys.h)?);
@@ -132,7 +155,9 @@ fn side(key: &str, value: f64) -> Result<usize, String> {
     if value.fract() == 0.0 && (1.0..=MAX_SIDE_PX).contains(&value) {
         Ok(value as usize)
     } else {
-        Err(format!("{key} = {value}; 1 to {MAX_SIDE_PX} pixels were expected"))
+        Err(format!(
+            "{key} = {value}; 1 to {MAX_SIDE_PX} pixels were expected"
+        ))
     }
 }
 
@@ -175,7 +200,8 @@ pub struct Keyframe {
     pub fov_y_deg: Option<f64>,
     /// What moment of the scene is seen here.
     pub scene: Option<SceneTime>,
-    /// Seconds of the scene that go by in a second of the path from here on, where the next keyframe names no moment.
+    /// Seconds of the scene that go by in a second of the path from here on, where the next
+    /// keyframe names no moment.
     pub speed: Option<f64>,
 }
 
@@ -241,12 +267,21 @@ fn opencv() -> Axes {
 /// Checks the file.
 fn keyed(file: &KeyFile) -> Result<Keyed, BadPath> {
     if file.version != VERSION {
-        return Err((None, format!("its version is {}; version {VERSION} is known", file.version)));
+        return Err((
+            None,
+            format!(
+                "its version is {}; version {VERSION} is known",
+                file.version
+            ),
+        ));
     }
     if file.keyframes.is_empty() {
         return Err((None, "it has no keyframes".to_owned()));
     }
-    for (field, value, range, unit) in [("fps", file.fps, FPS, ""), ("back_s", file.back_s, STEP_S, "seconds")] {
+    for (field, value, range, unit) in [
+        ("fps", file.fps, FPS, ""),
+        ("back_s", file.back_s, STEP_S, "seconds"),
+    ] {
         if let Some(what) = value.and_then(|v| range::of_number(field, v, &range, unit)) {
             return Err((None, what));
         }
@@ -258,8 +293,9 @@ fn keyed(file: &KeyFile) -> Result<Keyed, BadPath> {
         let [earlier, later] = [pair[0].time_s, pair[1].time_s];
         if later - earlier < *STEP_S.start() {
             let least = STEP_S.start();
-            let what =
-                format!("its time, {later} s, is not behind that of the one before, {earlier} s, by {least} s or more");
+            let what = format!(
+                "its time, {later} s, is not behind that of the one before, {earlier} s, by {least} s or more"
+            );
             return Err((Some(i + 1), what));
         }
         if pair[0].speed.is_some() && pair[1].scene.is_some() {
@@ -272,7 +308,12 @@ fn keyed(file: &KeyFile) -> Result<Keyed, BadPath> {
         (None, None) => Ok(None),
         _ => Err("width and height belong together; one is missing".to_owned()),
     };
-    Ok(Keyed { keyframes, back_s: file.back_s, size: size.map_err(|what| (None, what))?, fps: file.fps })
+    Ok(Keyed {
+        keyframes,
+        back_s: file.back_s,
+        size: size.map_err(|what| (None, what))?,
+        fps: file.fps,
+    })
 }
 
 impl Key {
@@ -298,7 +339,11 @@ impl Key {
                 (None, None) => None,
                 (Some(s), None) => Some(SceneTime::Seconds(s)),
                 (None, Some(t)) => Some(SceneTime::Frames(t)),
-                (Some(_), Some(_)) => return Err("it has both scene_s and scene_frame; give one of the two".to_owned()),
+                (Some(_), Some(_)) => {
+                    return Err(
+                        "it has both scene_s and scene_frame; give one of the two".to_owned()
+                    );
+                }
             },
             speed: self.speed,
         })
@@ -321,9 +366,15 @@ impl Key {
                 if up.is_some_and(|up| up.cross(&ahead).norm() <= 1e-6 * up.norm() * ahead.norm()) {
                     return Err("up points where the camera looks, or has no length".to_owned());
                 }
-                Ok(KeyPose::LookAt { position, look_at, up })
+                Ok(KeyPose::LookAt {
+                    position,
+                    look_at,
+                    up,
+                })
             }
-            _ => Err("either c2w, or position and look_at (and up, if wanted), were expected".to_owned()),
+            _ => Err(
+                "either c2w, or position and look_at (and up, if wanted), were expected".to_owned(),
+            ),
         }
     }
 }
@@ -331,7 +382,10 @@ impl Key {
 /// Three coordinates.
 fn vector(key: &str, values: &[f64]) -> Result<Vector3<f64>, String> {
     let &[x, y, z] = values else {
-        return Err(format!("{key} has {} numbers where x, y and z were expected", values.len()));
+        return Err(format!(
+            "{key} has {} numbers where x, y and z were expected",
+            values.len()
+        ));
     };
     let vector = Vector3::new(x, y, z);
     range::of_place(key, &vector).map_or(Ok(vector), Err)

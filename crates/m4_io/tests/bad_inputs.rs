@@ -1,4 +1,5 @@
-//! Bad clips, images and scene files: every message names the file, what is wrong, and what to do; nothing panics.
+//! Bad clips, images and scene files: every message names the file, what is wrong, and what to do;
+//! nothing panics.
 
 use crate::common::{Stop, pinwheel, says, temporary, without_ffmpeg};
 use m4_core::{Plane, Silent};
@@ -10,7 +11,10 @@ use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 fn options() -> VideoOptions {
-    VideoOptions { size: Some(64), ..without_ffmpeg() }
+    VideoOptions {
+        size: Some(64),
+        ..without_ffmpeg()
+    }
 }
 
 /// The clip cannot be read; the message names the file and has these words.
@@ -51,7 +55,12 @@ fn with(kind: &[u8], offset: usize, value: &[u8]) -> Vec<u8> {
 #[test]
 fn damaged_and_foreign_files_are_refused_as_clips() {
     use ErrorKind::{BadData, NotFound, Unavailable};
-    refused(Path::new("/nowhere/clip.mp4"), &options(), NotFound, &["cannot read"]);
+    refused(
+        Path::new("/nowhere/clip.mp4"),
+        &options(),
+        NotFound,
+        &["cannot read"],
+    );
     // Index at the end, as cameras write it: move `moov` behind `mdat`, then cut.
     let bytes = example();
     let (moov, mdat) = (at(&bytes, b"moov") - 4, at(&bytes, b"mdat") - 4);
@@ -68,12 +77,32 @@ fn damaged_and_foreign_files_are_refused_as_clips() {
         (b"", BadData, &["0 bytes", "copy it again"]),
         (&[0; 5000], BadData, &["zeros"]),
         (&png, BadData, &["single image", "folder"]),
-        (&matroska, Unavailable, &["another kind than MP4", "install ffmpeg", "libx264"]),
+        (
+            &matroska,
+            Unavailable,
+            &["another kind than MP4", "install ffmpeg", "libx264"],
+        ),
         (&late, BadData, &["incomplete", "moov", "untrunc"]),
-        (&late[..late.len() / 2], BadData, &["ends inside box \"mdat\"", "moov"]),
-        (&bytes[..moov + 300], BadData, &["index", "more than the file has"]),
-        (&with(b"vide", 0, b"soun"), BadData, &["no video track", "sound"]),
-        (&with(b"stsz", 12, &[0; 4]), BadData, &["video track is empty"]),
+        (
+            &late[..late.len() / 2],
+            BadData,
+            &["ends inside box \"mdat\"", "moov"],
+        ),
+        (
+            &bytes[..moov + 300],
+            BadData,
+            &["index", "more than the file has"],
+        ),
+        (
+            &with(b"vide", 0, b"soun"),
+            BadData,
+            &["no video track", "sound"],
+        ),
+        (
+            &with(b"stsz", 12, &[0; 4]),
+            BadData,
+            &["video track is empty"],
+        ),
         (&with(b"stsz", 12, &many), BadData, &["entries", "stsz"]),
         (&with(b"stts", 8, &many), BadData, &["entries", "stts"]),
         (&with(b"ctts", 8, &many), BadData, &["entries", "ctts"]),
@@ -81,7 +110,11 @@ fn damaged_and_foreign_files_are_refused_as_clips() {
         (&with(b"stco", 8, &many), BadData, &["entries", "stco"]),
         (&with(b"elst", 8, &many), BadData, &["entries", "elst"]),
         // Constant sample size: 4 billion samples of one byte.
-        (&one_size, BadData, &["4294967295 samples", "more than the file has"]),
+        (
+            &one_size,
+            BadData,
+            &["4294967295 samples", "more than the file has"],
+        ),
     ];
     for (bytes, kind, words) in cases {
         let (_dir, path) = file(bytes);
@@ -95,9 +128,20 @@ fn a_clip_whose_end_is_missing_is_read_as_far_as_it_goes() {
     let (_dir, path) = file(&bytes[..bytes.len() * 2 / 3]);
     let got = video::read(&path, &options(), &Silent).unwrap();
     assert!((50..90).contains(&got.frames.len()), "{}", got.frames.len());
-    says(&got.warnings.join("; "), &["of 96 frames are damaged or missing", "the first at"]);
-    let strict = VideoOptions { strict: true, ..options() };
-    refused(&path, &strict, ErrorKind::BadData, &["of 96 frames", "strict"]);
+    says(
+        &got.warnings.join("; "),
+        &["of 96 frames are damaged or missing", "the first at"],
+    );
+    let strict = VideoOptions {
+        strict: true,
+        ..options()
+    };
+    refused(
+        &path,
+        &strict,
+        ErrorKind::BadData,
+        &["of 96 frames", "strict"],
+    );
 }
 
 #[test]
@@ -105,15 +149,35 @@ fn impossible_options_are_refused() {
     use ErrorKind::{BadData, BadOption, Unsupported};
     type Set = fn(&mut VideoOptions);
     let cases: [(Set, ErrorKind, &[&str]); 6] = [
-        (|o| o.max_frames = Some(0), BadOption, &["max_frames", "at least 1"]),
+        (
+            |o| o.max_frames = Some(0),
+            BadOption,
+            &["max_frames", "at least 1"],
+        ),
         (|o| o.size = Some(3), BadOption, &["size is 3", "16"]),
-        (|o| (o.start_s, o.end_s) = (Some(2.0), Some(1.0)), BadOption, &["start_s", "before the end"]),
+        (
+            |o| (o.start_s, o.end_s) = (Some(2.0), Some(1.0)),
+            BadOption,
+            &["start_s", "before the end"],
+        ),
         (|o| o.end_s = Some(f64::NAN), BadOption, &["end_s is NaN"]),
-        (|o| o.start_s = Some(60.0), BadData, &["lasts 3.96 s", "60.00 s"]),
+        (
+            |o| o.start_s = Some(60.0),
+            BadData,
+            &["lasts 3.96 s", "60.00 s"],
+        ),
         (
             |o| (o.size, o.max_memory_bytes) = (None, 10 << 20),
             Unsupported,
-            &["96 frames", "480 x 360", "47 MiB", "10 MiB", "max_frames", "size", "max_memory_bytes"],
+            &[
+                "96 frames",
+                "480 x 360",
+                "47 MiB",
+                "10 MiB",
+                "max_frames",
+                "size",
+                "max_memory_bytes",
+            ],
         ),
     ];
     for (set, kind, words) in cases {
@@ -121,7 +185,12 @@ fn impossible_options_are_refused() {
         set(&mut options);
         refused(&pinwheel(), &options, kind, words);
     }
-    let fits = VideoOptions { size: None, max_memory_bytes: 10 << 20, max_frames: Some(8), ..options() };
+    let fits = VideoOptions {
+        size: None,
+        max_memory_bytes: 10 << 20,
+        max_frames: Some(8),
+        ..options()
+    };
     assert!(video::read(&pinwheel(), &fits, &Silent).is_ok());
 }
 
@@ -139,11 +208,25 @@ fn folders_without_images_or_of_several_sizes_are_refused() {
     let folder = dir.path().join("frames");
     std::fs::create_dir(&folder).unwrap();
     std::fs::write(folder.join("readme.txt"), "nothing").unwrap();
-    refused(&folder, &options(), ErrorKind::BadData, &["no image", ".jpg"]);
+    refused(
+        &folder,
+        &options(),
+        ErrorKind::BadData,
+        &["no image", ".jpg"],
+    );
     for (i, (w, h)) in [(20, 10), (20, 10), (10, 20)].into_iter().enumerate() {
-        write_rgb(&folder.join(format!("{i}.png")), &Plane::filled(w, h, [9; 3])).unwrap();
+        write_rgb(
+            &folder.join(format!("{i}.png")),
+            &Plane::filled(w, h, [9; 3]),
+        )
+        .unwrap();
     }
-    refused(&folder, &options(), ErrorKind::BadData, &["2.png", "10 x 20", "20 x 10"]);
+    refused(
+        &folder,
+        &options(),
+        ErrorKind::BadData,
+        &["2.png", "10 x 20", "20 x 10"],
+    );
 }
 
 #[test]
@@ -160,16 +243,38 @@ fn damaged_images_of_a_folder_are_left_out_as_damaged_frames_of_a_video() {
     for broken in [&whole[..whole.len() / 3], &hole, b"\xff\xd8\xff\xe0", b""] {
         std::fs::write(clip(1), broken).unwrap();
         let got = video::read(dir.path(), &options(), &Silent).unwrap();
-        let times: Vec<f64> = got.frames.iter().map(|f| (f.time_s * 30.0).round()).collect();
+        let times: Vec<f64> = got
+            .frames
+            .iter()
+            .map(|f| (f.time_s * 30.0).round())
+            .collect();
         assert_eq!(times, [0.0, 2.0, 3.0, 4.0]);
-        let [warning] = &got.warnings[..] else { panic!("{:?}", got.warnings) };
-        assert!(warning.starts_with("1 of 5 frames are damaged") && warning.contains("1.jpg"), "{warning}");
-        let strict = VideoOptions { strict: true, ..options() };
-        refused(dir.path(), &strict, ErrorKind::BadData, &["1 of 5 frames", "1.jpg", "strict"]);
+        let [warning] = &got.warnings[..] else {
+            panic!("{:?}", got.warnings)
+        };
+        assert!(
+            warning.starts_with("1 of 5 frames are damaged") && warning.contains("1.jpg"),
+            "{warning}"
+        );
+        let strict = VideoOptions {
+            strict: true,
+            ..options()
+        };
+        refused(
+            dir.path(),
+            &strict,
+            ErrorKind::BadData,
+            &["1 of 5 frames", "1.jpg", "strict"],
+        );
         assert!(read_rgb(&clip(1)).is_err());
     }
     (0..5).for_each(|i| std::fs::write(clip(i), &whole[..whole.len() / 2]).unwrap());
-    refused(dir.path(), &options(), ErrorKind::BadData, &["no frame that can be decoded", "0.jpg"]);
+    refused(
+        dir.path(),
+        &options(),
+        ErrorKind::BadData,
+        &["no frame that can be decoded", "0.jpg"],
+    );
 }
 
 #[test]
@@ -218,10 +323,14 @@ fn depth_maps_must_be_16_bit_greyscale() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("d.png");
     write_rgb(&path, &Plane::filled(4, 4, [1; 3])).unwrap();
-    says(&read_depth(&path, 0.001).unwrap_err(), &["d.png", "16 bits", "Rgb8"]);
+    says(
+        &read_depth(&path, 0.001).unwrap_err(),
+        &["d.png", "16 bits", "Rgb8"],
+    );
     write_mask(&path, &Plane::filled(4, 4, 255)).unwrap();
     says(&read_depth(&path, 0.001).unwrap_err(), &["16 bits", "L8"]);
-    let error = write_depth(&dir.path().join("d.jpg"), &Plane::filled(4, 4, 1.0), 0.001).unwrap_err();
+    let error =
+        write_depth(&dir.path().join("d.jpg"), &Plane::filled(4, 4, 1.0), 0.001).unwrap_err();
     says(&error, &["d.jpg", "JPEG"]);
 }
 
@@ -230,7 +339,10 @@ fn depth_maps_must_be_16_bit_greyscale() {
 #[test]
 fn malformed_scene_files_are_refused() {
     let (_dir, path) = temporary("scene.safetensors");
-    assert_eq!(safetensors::read(&path).unwrap_err().kind(), ErrorKind::NotFound);
+    assert_eq!(
+        safetensors::read(&path).unwrap_err().kind(),
+        ErrorKind::NotFound
+    );
     let text = |bytes: &[u8], words: &[&str]| {
         std::fs::write(&path, bytes).unwrap();
         let error = safetensors::read(&path).unwrap_err();
@@ -238,9 +350,18 @@ fn malformed_scene_files_are_refused() {
         says(&error, words);
     };
     text(b"", &["not a scene file", "0 bytes"]);
-    text(b"ply\nformat binary", &["scene.safetensors", "does not start like"]);
-    text(b"\xff\xff\xff\xff\xff\xff\xff\x7f{}", &["damaged", "header says 9223372036854775807 bytes"]);
-    text(b"\x02\0\0\0\0\0\0\0{}", &["minute4d_scene", "scene.safetensors of a run"]);
+    text(
+        b"ply\nformat binary",
+        &["scene.safetensors", "does not start like"],
+    );
+    text(
+        b"\xff\xff\xff\xff\xff\xff\xff\x7f{}",
+        &["damaged", "header says 9223372036854775807 bytes"],
+    );
+    text(
+        b"\x02\0\0\0\0\0\0\0{}",
+        &["minute4d_scene", "scene.safetensors of a run"],
+    );
     let json = br#"{"a":{"dtype":"F32","shape":[4000000000],"data_offsets":[0,16000000000]}}"#;
     let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
     bytes.extend(json);

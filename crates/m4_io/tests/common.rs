@@ -10,44 +10,60 @@ use tempfile::TempDir;
 
 /// The example clip: 96 frames, 480x360, 24 per second, H.264 High with B-frames.
 pub fn pinwheel() -> PathBuf {
-    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4"))
+    PathBuf::from(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../examples/pinwheel.mp4"
+    ))
 }
 
 /// Reads frames in the size of the file, and nothing by ffmpeg.
 pub fn without_ffmpeg() -> VideoOptions {
-    VideoOptions { size: None, ffmpeg: PathBuf::from("/nonexistent/ffmpeg"), ..VideoOptions::default() }
+    VideoOptions {
+        size: None,
+        ffmpeg: PathBuf::from("/nonexistent/ffmpeg"),
+        ..VideoOptions::default()
+    }
 }
 
 /// True when ffmpeg can be started; else the test is listed as skipped.
 #[track_caller]
 pub fn have_ffmpeg() -> bool {
-    let there = Command::new("ffmpeg").arg("-version").output().is_ok_and(|o| o.status.success());
+    let there = Command::new("ffmpeg")
+        .arg("-version")
+        .output()
+        .is_ok_and(|o| o.status.success());
     if !there {
         skip(Need::Ffmpeg, "ffmpeg is not on the PATH");
     }
     there
 }
 
-/// True when ffmpeg can be started and has the encoder `name`; else the test, or that part of it, is listed as skipped. What is
-/// made with an encoder that is there has to succeed.
+/// True when ffmpeg can be started and has the encoder `name`; else the test, or that part of it,
+/// is listed as skipped. What is made with an encoder that is there has to succeed.
 #[track_caller]
 pub fn have_encoder(name: &str) -> bool {
     if !have_ffmpeg() {
         return false;
     }
-    let listed = Command::new("ffmpeg").args(["-v", "error", "-encoders"]).output();
+    let listed = Command::new("ffmpeg")
+        .args(["-v", "error", "-encoders"])
+        .output();
     let there = listed.is_ok_and(|o| {
         let text = String::from_utf8_lossy(&o.stdout);
-        text.lines().any(|line| line.split_whitespace().nth(1) == Some(name))
+        text.lines()
+            .any(|line| line.split_whitespace().nth(1) == Some(name))
     });
     if !there {
-        skip(Need::Ffmpeg, &format!("this build of ffmpeg has no encoder {name}"));
+        skip(
+            Need::Ffmpeg,
+            &format!("this build of ffmpeg has no encoder {name}"),
+        );
     }
     there
 }
 
-/// Runs ffmpeg with arguments separated by spaces, then `output`; false where this build of ffmpeg cannot, and the test, or
-/// that part of it, is listed as skipped.
+/// Runs ffmpeg with arguments separated by spaces, then `output`; false where this build of ffmpeg
+/// cannot, and the test, or that part of it, is listed as skipped.
 #[track_caller]
 pub fn ffmpeg(arguments: &str, output: &Path) -> bool {
     let mut command = Command::new("ffmpeg");
@@ -86,14 +102,24 @@ pub fn times(video: &Video) -> Vec<f64> {
 pub fn script(dir: &Path, name: &str, body: &str) -> PathBuf {
     use std::os::unix::fs::PermissionsExt;
     let path = dir.join(name);
-    // Written under another name by a shell of its own: a file that some thread has open for writing while another
-    // one forks cannot be started.
-    let write = format!("cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'", path.display());
-    let mut shell = Command::new("sh").args(["-c", &write]).stdin(std::process::Stdio::piped()).spawn().unwrap();
+    // Written under another name by a shell of its own: a file that some thread has open for
+    // writing while another one forks cannot be started.
+    let write = format!(
+        "cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'",
+        path.display()
+    );
+    let mut shell = Command::new("sh")
+        .args(["-c", &write])
+        .stdin(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
     let text = format!("#!/bin/sh\n{body}\n");
     std::io::Write::write_all(&mut shell.stdin.take().unwrap(), text.as_bytes()).unwrap();
     assert!(shell.wait().unwrap().success());
-    assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o755);
+    assert_eq!(
+        std::fs::metadata(&path).unwrap().permissions().mode() & 0o777,
+        0o755
+    );
     path
 }
 
@@ -120,7 +146,14 @@ pub fn fake_ffmpeg(dir: &Path, probe: &str, decode: &str) -> (PathBuf, VideoOpti
     let clip = dir.join("clip.mkv");
     std::fs::write(&clip, [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
     script(dir, "ffprobe", probe);
-    (clip, VideoOptions { ffmpeg: script(dir, "ffmpeg", decode), size: None, ..VideoOptions::default() })
+    (
+        clip,
+        VideoOptions {
+            ffmpeg: script(dir, "ffmpeg", decode),
+            size: None,
+            ..VideoOptions::default()
+        },
+    )
 }
 
 /// All of `words` are in the message.
@@ -172,7 +205,9 @@ pub fn temporary(name: &str) -> (TempDir, PathBuf) {
 
 /// `fixtures/NAME`.
 pub fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../fixtures")
+        .join(name)
 }
 
 /// Copies a file, or a folder with all that is in it, to where a test may change it.

@@ -15,7 +15,10 @@ fn program() -> DecoderProgram {
 }
 
 fn options(limits: DecoderLimits) -> VideoOptions {
-    VideoOptions { decoder: limits, ..without_ffmpeg() }
+    VideoOptions {
+        decoder: limits,
+        ..without_ffmpeg()
+    }
 }
 
 fn limits(set: impl FnOnce(&mut DecoderLimits)) -> DecoderLimits {
@@ -24,9 +27,12 @@ fn limits(set: impl FnOnce(&mut DecoderLimits)) -> DecoderLimits {
     limits
 }
 
-/// How the decoder failed; checks that nothing is held against the clip and that the message says all that it must.
+/// How the decoder failed; checks that nothing is held against the clip and that the message says
+/// all that it must.
 fn failure(result: Result<Video, ReadError>, words: &[&str]) -> DecoderEnd {
-    let Err(error) = result else { panic!("it was decoded") };
+    let Err(error) = result else {
+        panic!("it was decoded")
+    };
     let text = error.to_string();
     assert_eq!(error.kind(), ErrorKind::Unavailable, "{text}");
     says(&text, words);
@@ -49,7 +55,12 @@ fn child_process_decodes_identical_frames() {
     let there = read_with(Some(&program()), &pinwheel(), &options, &Silent).unwrap();
     assert_eq!((here.frames.len(), &here.warnings), (96, &there.warnings));
     assert!(same(&here, &there));
-    let part = VideoOptions { max_frames: Some(7), start_s: Some(1.0), size: Some(200), ..options };
+    let part = VideoOptions {
+        max_frames: Some(7),
+        start_s: Some(1.0),
+        size: Some(200),
+        ..options
+    };
     let here = read_with(None, &pinwheel(), &part, &Silent).unwrap();
     let there = read_with(Some(&program()), &pinwheel(), &part, &Silent).unwrap();
     assert!(same(&here, &there) && here.frames.len() == 7);
@@ -77,7 +88,11 @@ fn damaged_clips_never_crash_the_parent() {
     let original = std::fs::read(pinwheel()).unwrap();
     let mdat = original.windows(4).position(|w| w == b"mdat").unwrap();
     let (_dir, path) = temporary("clip.mp4");
-    let part = VideoOptions { end_s: Some(0.7), size: Some(64), ..options(DecoderLimits::default()) };
+    let part = VideoOptions {
+        end_s: Some(0.7),
+        size: Some(64),
+        ..options(DecoderLimits::default())
+    };
     let (mut whole_clips, mut with_warnings, mut refused) = (0, 0, 0);
     for case in 0..160 {
         std::fs::write(&path, damaged(case, &original, mdat)).unwrap();
@@ -88,7 +103,10 @@ fn damaged_clips_never_crash_the_parent() {
             // A crash of OpenH264 would be one of these.
             Err(error) => {
                 assert!(
-                    matches!(error.kind(), ErrorKind::BadData | ErrorKind::Unsupported | ErrorKind::Unavailable),
+                    matches!(
+                        error.kind(),
+                        ErrorKind::BadData | ErrorKind::Unsupported | ErrorKind::Unavailable
+                    ),
                     "case {case}: {error}"
                 );
                 refused += 1;
@@ -103,21 +121,39 @@ fn damaged_clips_never_crash_the_parent() {
         }
         match (there, read_with(None, &path, &part, &Silent)) {
             (Ok(there), Ok(here)) => {
-                assert!(same(&there, &here) && there.warnings == here.warnings, "case {case}");
+                assert!(
+                    same(&there, &here) && there.warnings == here.warnings,
+                    "case {case}"
+                );
             }
-            (Err(there), Err(here)) => assert_eq!(there.to_string(), here.to_string(), "case {case}"),
-            (there, here) => panic!("case {case}: {:?} there, {:?} here", there.err(), here.err()),
+            (Err(there), Err(here)) => {
+                assert_eq!(there.to_string(), here.to_string(), "case {case}")
+            }
+            (there, here) => panic!(
+                "case {case}: {:?} there, {:?} here",
+                there.err(),
+                here.err()
+            ),
         }
     }
     eprintln!("{whole_clips} whole, {with_warnings} with warnings, {refused} refused");
     // The damage reaches the decoder.
-    assert!(with_warnings > 10 && refused > 0, "{with_warnings} {refused}");
+    assert!(
+        with_warnings > 10 && refused > 0,
+        "{with_warnings} {refused}"
+    );
 }
 
 #[test]
 fn a_decoder_that_is_not_there() {
     let nowhere = DecoderProgram::new("/nowhere/decoder", "decode");
-    let error = read_with(Some(&nowhere), &pinwheel(), &options(DecoderLimits::default()), &Silent).unwrap_err();
+    let error = read_with(
+        Some(&nowhere),
+        &pinwheel(),
+        &options(DecoderLimits::default()),
+        &Silent,
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("/nowhere/decoder"), "{error}");
     // This is no clip's fault.
     assert_eq!(error.kind(), ErrorKind::Io);
@@ -125,7 +161,11 @@ fn a_decoder_that_is_not_there() {
 
 /// Reads the example with a script as its decoder.
 #[cfg(unix)]
-fn with_fake(body: &str, limits: DecoderLimits, progress: &dyn Progress) -> Result<Video, ReadError> {
+fn with_fake(
+    body: &str,
+    limits: DecoderLimits,
+    progress: &dyn Progress,
+) -> Result<Video, ReadError> {
     let dir = tempfile::tempdir().unwrap();
     let fake = DecoderProgram::new(script(dir.path(), "fake", body), "decode");
     read_with(Some(&fake), &pinwheel(), &options(limits), progress)
@@ -136,7 +176,10 @@ fn with_fake(body: &str, limits: DecoderLimits, progress: &dyn Progress) -> Resu
 #[track_caller]
 fn assert_end(how: &DecoderEnd, want: &str, case: &str) {
     let found = format!("{how:?}");
-    assert!(found.starts_with(want), "{found} where {want} was expected: {case}");
+    assert!(
+        found.starts_with(want),
+        "{found} where {want} was expected: {case}"
+    );
 }
 
 #[cfg(unix)]
@@ -147,28 +190,63 @@ fn decoders_that_crash_hang_or_talk_without_end() {
     let idle = "Idle { seconds: 1 }";
     let waits = &["nothing came from it for 1 s", "idle_seconds"][..];
     let cases: [(&str, &str, &[&str]); 13] = [
-        ("kill -KILL $$", "Signal { signal: 9 }", &["H.264 decoder", "SIGKILL"]),
+        (
+            "kill -KILL $$",
+            "Signal { signal: 9 }",
+            &["H.264 decoder", "SIGKILL"],
+        ),
         ("kill -SEGV $$", "Signal { signal: 11 }", &["SIGSEGV"]),
-        ("head -c 20 >/dev/null; kill -ABRT $$", "Signal { signal: 6 }", &[]),
-        ("echo it is broken >&2; exit 3", "Answer", &["it is broken", "3"]),
+        (
+            "head -c 20 >/dev/null; kill -ABRT $$",
+            "Signal { signal: 6 }",
+            &[],
+        ),
+        (
+            "echo it is broken >&2; exit 3",
+            "Answer",
+            &["it is broken", "3"],
+        ),
         // As loud as a decoder, and no decoder.
-        ("echo hello, hello; cat >/dev/null", "Answer", &["does not answer"]),
+        (
+            "echo hello, hello; cat >/dev/null",
+            "Answer",
+            &["does not answer"],
+        ),
         // Agreed, and then gone: no shorter answer passes for an image.
         ("READY; exit 0", "Answer", &["ended early"]),
-        ("READY; printf '\\002abc'; exit 0", "Answer", &["ended early"]),
-        ("READY; printf '\\011'; cat >/dev/null", "Answer", &["answer 9"]),
+        (
+            "READY; printf '\\002abc'; exit 0",
+            "Answer",
+            &["ended early"],
+        ),
+        (
+            "READY; printf '\\011'; cat >/dev/null",
+            "Answer",
+            &["answer 9"],
+        ),
         ("sleep 600", idle, waits),
         // Takes everything and says nothing; or talks, and decodes nothing.
         ("cat >/dev/null; sleep 600", idle, waits),
-        ("READY; while :; do echo working >&2; sleep 0.2; done", idle, waits),
+        (
+            "READY; while :; do echo working >&2; sleep 0.2; done",
+            idle,
+            waits,
+        ),
         // Lets go of its output, and stays.
         ("exec >&- ; sleep 600", idle, waits),
-        ("exec yes >&2", "Messages { read_mb: 1 }", &["MiB of messages"]),
+        (
+            "exec yes >&2",
+            "Messages { read_mb: 1 }",
+            &["MiB of messages"],
+        ),
     ];
     for (body, want, words) in cases {
         let limits = if want == idle { patience } else { usual };
         let start = Instant::now();
-        let how = failure(with_fake(&body.replace("READY", ready), limits, &Silent), words);
+        let how = failure(
+            with_fake(&body.replace("READY", ready), limits, &Silent),
+            words,
+        );
         assert_end(&how, want, body);
         assert!(start.elapsed() < Duration::from_secs(30), "{body}");
     }
@@ -182,14 +260,23 @@ fn decoders_that_take_too_much() {
     let how = failure(with_fake(tail, memory, &Silent), &["200 MiB", "memory_mb"]);
     assert_eq!(how, DecoderEnd::Memory { limit_mb: 200 });
     let (spin, cpu) = ("while :; do :; done", limits(|l| l.cpu_seconds = 1));
-    let how = failure(with_fake(spin, cpu, &Silent), &["longer than the 1 s", "cpu_seconds"]);
+    let how = failure(
+        with_fake(spin, cpu, &Silent),
+        &["longer than the 1 s", "cpu_seconds"],
+    );
     assert_eq!(how, DecoderEnd::Cpu { limit_s: 1 });
     // Files: 1 MiB, no core dump. A bare child runs before it is limited: it waits until it is.
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("filled");
     let limited = "until [ \"$(ulimit -f)\" != unlimited ]; do sleep 0.01; done";
-    let body = format!("{limited}; exec head -c 9000000 /dev/zero >{}", file.display());
-    failure(with_fake(&body, DecoderLimits::default(), &Silent), &["pinwheel.mp4"]);
+    let body = format!(
+        "{limited}; exec head -c 9000000 /dev/zero >{}",
+        file.display()
+    );
+    failure(
+        with_fake(&body, DecoderLimits::default(), &Silent),
+        &["pinwheel.mp4"],
+    );
     assert_eq!(std::fs::metadata(&file).unwrap().len(), 1 << 20);
 }
 
@@ -212,7 +299,10 @@ fn stopping_ends_the_child_and_what_it_started() {
     let dir = tempfile::tempdir().unwrap();
     let note = dir.path().join("pids");
     // The grandchild holds the pipes open.
-    let body = format!("sleep 600 & echo $$ $! >{0}.new; mv {0}.new {0}; wait", note.display());
+    let body = format!(
+        "sleep 600 & echo $$ $! >{0}.new; mv {0}.new {0}; wait",
+        note.display()
+    );
     let stop = StopAt(&note, AtomicUsize::new(0));
     let start = Instant::now();
     let error = with_fake(&body, DecoderLimits::default(), &stop).unwrap_err();
@@ -242,7 +332,15 @@ fn with_fake_ffmpeg(
 ) -> Result<Video, ReadError> {
     let dir = tempfile::tempdir().unwrap();
     let (clip, options) = fake_ffmpeg(dir.path(), probe, decode);
-    read_with(launcher, &clip, &VideoOptions { decoder: limits, ..options }, &Silent)
+    read_with(
+        launcher,
+        &clip,
+        &VideoOptions {
+            decoder: limits,
+            ..options
+        },
+        &Silent,
+    )
 }
 
 /// ffmpeg started by this process, and by a program that limits itself first.
@@ -259,8 +357,18 @@ fn hanging_crashing_or_verbose_ffmpeg_is_stopped() {
     // What ffprobe does, and ffmpeg after the first image, or in its place (`!`).
     let not_read = format!("!{unread}");
     let cases: [(&str, &str, &str, &[&str]); 11] = [
-        (PROBED, "sleep 600", idle, &["ffmpeg failed", "idle_seconds"]),
-        (PROBED, "kill -SEGV $$", crash, &["ffmpeg failed", "SIGSEGV"]),
+        (
+            PROBED,
+            "sleep 600",
+            idle,
+            &["ffmpeg failed", "idle_seconds"],
+        ),
+        (
+            PROBED,
+            "kill -SEGV $$",
+            crash,
+            &["ffmpeg failed", "SIGSEGV"],
+        ),
         (PROBED, talk, "Messages", &["MiB of messages"]),
         // No line end ever.
         (PROBED, endless, "Messages", &["MiB of messages"]),
@@ -275,7 +383,9 @@ fn hanging_crashing_or_verbose_ffmpeg_is_stopped() {
     ];
     let bad = "echo '[error] clip.mkv: Invalid data found when processing input' >&2; exit 1";
     for launcher in [None, Some(program())] {
-        let read = |probe: &str, decode: &str, limits| with_fake_ffmpeg(launcher.as_ref(), probe, decode, limits);
+        let read = |probe: &str, decode: &str, limits| {
+            with_fake_ffmpeg(launcher.as_ref(), probe, decode, limits)
+        };
         let video = read(PROBED, &sent(0..3), usual).unwrap();
         let counts = (video.frames.len(), video.warnings.len());
         assert_eq!(counts, (3, 0), "{:?}", video.warnings);
@@ -295,7 +405,11 @@ fn hanging_crashing_or_verbose_ffmpeg_is_stopped() {
         // An end by its own decision leaves what was decoded.
         let video = read(PROBED, &(sent(0..1) + "exit 1"), usual).unwrap();
         assert_eq!(video.frames.len(), 1);
-        assert!(video.warnings[0].contains("only 1 of 3 frames"), "{:?}", video.warnings);
+        assert!(
+            video.warnings[0].contains("only 1 of 3 frames"),
+            "{:?}",
+            video.warnings
+        );
         for (probe, decode) in [(bad, ""), (PROBED, bad)] {
             let error = read(probe, decode, usual).err().unwrap();
             assert_eq!(error.kind(), ErrorKind::BadData, "{error}");
@@ -311,10 +425,17 @@ fn the_real_ffmpeg_obeys_limits() {
     }
     let dir = tempfile::tempdir().unwrap();
     let clip = dir.path().join("clip.mkv");
-    if !ffmpeg("-f lavfi -i testsrc2=size=3840x2160:rate=24 -frames:v 12 -c:v ffv1", &clip) {
+    if !ffmpeg(
+        "-f lavfi -i testsrc2=size=3840x2160:rate=24 -frames:v 12 -c:v ffv1",
+        &clip,
+    ) {
         return;
     }
-    let with = |limits| VideoOptions { size: Some(64), decoder: limits, ..VideoOptions::default() };
+    let with = |limits| VideoOptions {
+        size: Some(64),
+        decoder: limits,
+        ..VideoOptions::default()
+    };
     let usual = with(DecoderLimits::default());
     let few = with(limits(|l| l.memory_mb = 64));
     for launcher in [None, Some(program())] {
@@ -332,13 +453,25 @@ fn a_clip_cannot_name_other_files() {
     }
     let dir = tempfile::tempdir().unwrap();
     let other = dir.path().join("secret.ts");
-    assert!(ffmpeg(&format!("-i {} -c copy -frames:v 8", pinwheel().display()), &other));
-    let options = VideoOptions { size: Some(64), ..VideoOptions::default() };
+    assert!(ffmpeg(
+        &format!("-i {} -c copy -frames:v 8", pinwheel().display()),
+        &other
+    ));
+    let options = VideoOptions {
+        size: Some(64),
+        ..VideoOptions::default()
+    };
     assert_eq!(read(&other, &options, &Silent).unwrap().frames.len(), 8);
     let lists = [
         ("concat.txt", "ffconcat version 1.0\nfile secret.ts\n"),
-        ("list.m3u8", "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n"),
-        ("clip.mp4", "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n"),
+        (
+            "list.m3u8",
+            "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n",
+        ),
+        (
+            "clip.mp4",
+            "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n",
+        ),
         (
             "remote.sdp",
             "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
@@ -349,6 +482,9 @@ fn a_clip_cannot_name_other_files() {
         std::fs::write(&list, text).unwrap();
         let error = read(&list, &options, &Silent).unwrap_err();
         let text = error.to_string();
-        assert!(error.kind() == ErrorKind::BadData && text.contains("not a video"), "{name}: {text}");
+        assert!(
+            error.kind() == ErrorKind::BadData && text.contains("not a video"),
+            "{name}: {text}"
+        );
     }
 }

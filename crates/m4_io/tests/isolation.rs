@@ -28,11 +28,19 @@ struct Facts {
 impl Facts {
     fn read(folder: &Path) -> Self {
         let text = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
-        Self { environ: fs::read(folder.join("environ")).unwrap(), status: text("status"), limits: text("limits") }
+        Self {
+            environ: fs::read(folder.join("environ")).unwrap(),
+            status: text("status"),
+            limits: text("limits"),
+        }
     }
 
     fn limit(&self, name: &str) -> Option<u64> {
-        let line = self.limits.lines().find_map(|line| line.strip_prefix(name)).unwrap();
+        let line = self
+            .limits
+            .lines()
+            .find_map(|line| line.strip_prefix(name))
+            .unwrap();
         let [soft, hard] = [0, 1].map(|i| line.split_whitespace().nth(i).unwrap());
         assert_eq!(soft, hard, "{line}");
         soft.parse().ok()
@@ -41,10 +49,20 @@ impl Facts {
     /// `privileged` is whether it may start set-uid programs as their owners.
     fn check(&self, files: u64, privileged: bool) {
         let variables = self.environ.split(|&b| b == 0).filter(|v| !v.is_empty());
-        let names: Vec<String> =
-            variables.map(|v| String::from_utf8_lossy(v).split('=').next().unwrap().to_owned()).collect();
+        let names: Vec<String> = variables
+            .map(|v| {
+                String::from_utf8_lossy(v)
+                    .split('=')
+                    .next()
+                    .unwrap()
+                    .to_owned()
+            })
+            .collect();
         assert!(names.contains(&"PATH".to_owned()));
-        assert!(names.iter().all(|name| TOLD.contains(&name.as_str())), "{names:?}");
+        assert!(
+            names.iter().all(|name| TOLD.contains(&name.as_str())),
+            "{names:?}"
+        );
         let may_not = self.status.lines().any(|line| line == "NoNewPrivs:\t1");
         assert_eq!(may_not, !privileged, "{}", self.status);
         assert_eq!(self.limit("Max open files"), Some(files));
@@ -60,11 +78,16 @@ fn note_takers(folder: &Path) -> (PathBuf, VideoOptions) {
         let notes = folder.join(format!("{name}.d"));
         fs::create_dir(&notes).unwrap();
         let copy = |what: &str| format!("cat /proc/$$/{what} >'{}/{what}'\n", notes.display());
-        // A bare child begins before it is limited, last in the number of files: it waits, at most about five seconds.
+        // A bare child begins before it is limited, last in the number of files: it waits, at most
+        // about five seconds.
         let limited = "n=0; until [ \"$(ulimit -n)\" = 256 ] || [ $n = 500 ]; do n=$((n + 1)); sleep 0.01; done\n";
         limited.to_owned() + &["environ", "status", "limits"].map(copy).concat() + rest
     };
-    fake_ffmpeg(folder, &body("ffprobe", PROBED), &body("ffmpeg", &sent(0..3)))
+    fake_ffmpeg(
+        folder,
+        &body("ffprobe", PROBED),
+        &body("ffmpeg", &sent(0..3)),
+    )
 }
 
 #[test]
@@ -92,8 +115,12 @@ struct Watch<'a> {
 impl Progress for Watch<'_> {
     fn update(&self, _: &str, _: usize, _: usize, _: &str) {
         let mut found = self.found.lock().unwrap();
-        let processes = fs::read_dir("/proc").unwrap().flatten().map(|entry| entry.path());
-        let mut ours = processes.filter(|p| fs::read_link(p.join("exe")).is_ok_and(|exe| exe == self.file));
+        let processes = fs::read_dir("/proc")
+            .unwrap()
+            .flatten()
+            .map(|entry| entry.path());
+        let mut ours =
+            processes.filter(|p| fs::read_link(p.join("exe")).is_ok_and(|exe| exe == self.file));
         if let (None, Some(process)) = (&*found, ours.next()) {
             *found = Some(Facts::read(&process));
         }
@@ -108,11 +135,22 @@ impl Progress for Watch<'_> {
 fn our_own_decoder_gets_no_secret_no_privilege_and_no_file() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().canonicalize().unwrap().join("decoder");
-    // By another process: one that has a file open for writing while another is started keeps it from being executed.
-    let copied = std::process::Command::new("cp").arg(DECODER).arg(&file).status().unwrap();
+    // By another process: one that has a file open for writing while another is started keeps it
+    // from being executed.
+    let copied = std::process::Command::new("cp")
+        .arg(DECODER)
+        .arg(&file)
+        .status()
+        .unwrap();
     assert!(copied.success());
-    let watch = Watch { file: &file, found: Mutex::new(None) };
-    let options = VideoOptions { size: Some(64), ..VideoOptions::default() };
+    let watch = Watch {
+        file: &file,
+        found: Mutex::new(None),
+    };
+    let options = VideoOptions {
+        size: Some(64),
+        ..VideoOptions::default()
+    };
     let program = DecoderProgram::new(&file, "decode");
     let video = read_with(Some(&program), &pinwheel(), &options, &watch).unwrap();
     assert_eq!((video.frames.len(), video.warnings.len()), (96, 0));
@@ -129,13 +167,26 @@ fn ffmpeg_start_failures_do_not_blame_the_clip() {
     let remove = format!("rm '{}'", probe.display());
     let break_it = format!("printf '#!/nowhere/interpreter\\n' >'{}'", probe.display());
     for spoil in [break_it, remove] {
-        // By a shell: a file that some thread has open for writing while another one forks cannot be executed.
-        let spoiled = std::process::Command::new("sh").args(["-c", &spoil]).status().unwrap();
+        // By a shell: a file that some thread has open for writing while another one forks cannot
+        // be executed.
+        let spoiled = std::process::Command::new("sh")
+            .args(["-c", &spoil])
+            .status()
+            .unwrap();
         assert!(spoiled.success());
         for launcher in [Some(program()), None] {
             let error = read_with(launcher.as_ref(), &clip, &options, &Silent).unwrap_err();
-            let needed = matches!(error.fault, Fault::Content { kind: ErrorKind::Unavailable, .. });
-            assert!(needed && error.to_string().contains("ffprobe"), "{spoil}: {error}");
+            let needed = matches!(
+                error.fault,
+                Fault::Content {
+                    kind: ErrorKind::Unavailable,
+                    ..
+                }
+            );
+            assert!(
+                needed && error.to_string().contains("ffprobe"),
+                "{spoil}: {error}"
+            );
         }
     }
 }

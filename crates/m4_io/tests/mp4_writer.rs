@@ -1,6 +1,8 @@
 //! MP4 files that are written: they play elsewhere, read back here, and are whole or not there.
 
-use crate::common::{have_ffmpeg, pinwheel, psnr, says, temporary, times, without_ffmpeg as options};
+use crate::common::{
+    have_ffmpeg, pinwheel, psnr, says, temporary, times, without_ffmpeg as options,
+};
 use m4_core::{Plane, Silent, Video};
 use m4_io::ErrorKind;
 use m4_io::video::{Mp4Writer, VideoOptions, read};
@@ -8,7 +10,10 @@ use std::path::Path;
 use std::process::Command;
 
 fn example(frames: usize) -> Video {
-    let options = VideoOptions { end_s: Some((frames - 1) as f64 / 24.0), ..options() };
+    let options = VideoOptions {
+        end_s: Some((frames - 1) as f64 / 24.0),
+        ..options()
+    };
     read(&pinwheel(), &options, &Silent).unwrap()
 }
 
@@ -29,22 +34,46 @@ fn a_written_clip_reads_back_and_plays_in_ffmpeg() {
     write(&video, &path, 24.0);
     let size = std::fs::metadata(&path).unwrap().len();
     assert!(size < 2_500_000, "{size} bytes for 60 frames");
-    assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    assert_eq!(
+        std::fs::read_dir(path.parent().unwrap()).unwrap().count(),
+        1
+    );
     let back = read(&path, &options(), &Silent).unwrap();
     assert!(back.warnings.is_empty(), "{:?}", back.warnings);
     assert_eq!(back.frames.len(), 60);
     for (i, (a, b)) in back.frames.iter().zip(&video.frames).enumerate() {
         assert!((a.time_s - i as f64 / 24.0).abs() < 1e-4);
-        assert!(psnr(&a.rgb, &b.rgb) > 33.0, "frame {i}: {:.1} dB", psnr(&a.rgb, &b.rgb));
+        assert!(
+            psnr(&a.rgb, &b.rgb) > 33.0,
+            "frame {i}: {:.1} dB",
+            psnr(&a.rgb, &b.rgb)
+        );
     }
     if !have_ffmpeg() {
         return;
     }
-    let entries = "stream=codec_name,profile,pix_fmt,color_space,color_range,avg_frame_rate,nb_read_frames";
-    let arguments = ["-v", "error", "-count_frames", "-show_entries", entries, "-of", "default=nw=1"];
-    let output = Command::new("ffprobe").args(arguments).arg(&path).output().unwrap();
+    let entries =
+        "stream=codec_name,profile,pix_fmt,color_space,color_range,avg_frame_rate,nb_read_frames";
+    let arguments = [
+        "-v",
+        "error",
+        "-count_frames",
+        "-show_entries",
+        entries,
+        "-of",
+        "default=nw=1",
+    ];
+    let output = Command::new("ffprobe")
+        .args(arguments)
+        .arg(&path)
+        .output()
+        .unwrap();
     let message = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.stderr.is_empty(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     for line in [
         "codec_name=h264",
         "profile=High",
@@ -57,8 +86,17 @@ fn a_written_clip_reads_back_and_plays_in_ffmpeg() {
         assert!(message.contains(line), "{line} is not in:\n{message}");
     }
     let strict = ["-v", "error", "-xerror", "-err_detect", "explode", "-i"];
-    let output = Command::new("ffmpeg").args(strict).arg(&path).args(["-f", "null", "-"]).output().unwrap();
-    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = Command::new("ffmpeg")
+        .args(strict)
+        .arg(&path)
+        .args(["-f", "null", "-"])
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success() && output.stderr.is_empty(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
 }
 
 #[test]
@@ -68,7 +106,10 @@ fn the_same_frames_give_the_same_bytes_for_any_number_of_threads() {
     let video = example(30);
     let bytes = [1, 3].map(|threads| {
         let path = dir.path().join("clip.mp4");
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| write(&video, &path, 12.0));
         std::fs::read(&path).unwrap()
     });
@@ -83,9 +124,20 @@ fn mp4_pads_odd_sides_and_accepts_one_frame() {
     writer.push(image.clone()).unwrap();
     writer.finish().unwrap();
     let back = read(&path, &options(), &Silent).unwrap();
-    assert_eq!((back.frames.len(), back.frames[0].rgb.size(), times(&back)[0]), (1, (102, 78), 0.0));
+    assert_eq!(
+        (
+            back.frames.len(),
+            back.frames[0].rgb.size(),
+            times(&back)[0]
+        ),
+        (1, (102, 78), 0.0)
+    );
     for (x, y) in [(10, 10), (50, 40), (100, 76)] {
-        let off = back.frames[0].rgb[(x, y)].iter().zip(image[(x, y)]).map(|(a, b)| a.abs_diff(b)).max();
+        let off = back.frames[0].rgb[(x, y)]
+            .iter()
+            .zip(image[(x, y)])
+            .map(|(a, b)| a.abs_diff(b))
+            .max();
         assert!(off <= Some(8), "({x}, {y})");
     }
 }
@@ -101,12 +153,24 @@ fn invalid_mp4_frames_are_refused_and_leave_no_file() {
         (64, 64, f64::NAN, "frames per second"),
     ] {
         let error = Mp4Writer::create(&path, w, h, fps).unwrap_err();
-        assert!(error.to_string().contains(says) && error.kind() == ErrorKind::Unsupported, "{error}");
+        assert!(
+            error.to_string().contains(says) && error.kind() == ErrorKind::Unsupported,
+            "{error}"
+        );
     }
-    says(&Mp4Writer::create(&path, 64, 48, 24.0).unwrap().finish().unwrap_err(), &["no frames"]);
+    says(
+        &Mp4Writer::create(&path, 64, 48, 24.0)
+            .unwrap()
+            .finish()
+            .unwrap_err(),
+        &["no frames"],
+    );
     let mut writer = Mp4Writer::create(&path, 64, 48, 24.0).unwrap();
     let error = writer.push(Plane::filled(48, 64, [0; 3])).unwrap_err();
-    assert!(error.to_string().contains("48 x 64") && error.to_string().contains("64 x 48"), "{error}");
+    assert!(
+        error.to_string().contains("48 x 64") && error.to_string().contains("64 x 48"),
+        "{error}"
+    );
     drop(writer);
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
     let error = Mp4Writer::create(dir.path(), 64, 48, 24.0).unwrap_err();

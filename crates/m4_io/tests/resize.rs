@@ -6,7 +6,11 @@ use m4_testkit::Fixture;
 #[track_caller]
 fn assert_same(image: &RgbImage, want: &RgbImage, filter: ResizeFilter) {
     let got = resize_rgb(image, want.width(), want.height(), filter).unwrap();
-    let other = got.data().as_flattened().iter().zip(want.data().as_flattened());
+    let other = got
+        .data()
+        .as_flattened()
+        .iter()
+        .zip(want.data().as_flattened());
     let other = other.filter(|(a, b)| a != b).count();
     assert_eq!(other, 0, "{other} bytes of {:?} pixels differ", want.size());
 }
@@ -24,6 +28,10 @@ fn bytes_are_those_of_pillow() {
     let file = Fixture::open("ops/resize.safetensors");
     let cubic = file.image("image_u8");
     for size in ["down", "half", "up"] {
-        assert_same(&cubic, &file.image(&format!("pil_bicubic_u8_{size}")), ResizeFilter::Cubic);
+        assert_same(
+            &cubic,
+            &file.image(&format!("pil_bicubic_u8_{size}")),
+            ResizeFilter::Cubic,
+        );
     }
 }

@@ -47,7 +47,8 @@ fn cameras_of_transforms_are_listed() {
     );
     assert_eq!(got[0].1, 10.0);
     assert!((got[0].0.unproject(9.5, 4.5, 2.0) - Vector3::new(3.0, 0.0, 2.0)).norm() < 1e-12);
-    // OpenGL, evenly spaced; the second: right is y, up is z, back is x, so it looks along -x with -z downwards
+    // OpenGL, evenly spaced; the second: right is y, up is z, back is x, so it looks along -x with
+    // -z downwards
     let got = listed(
         r#"{"camera_angle_x": 1.5707963267948966, "w": 200, "h": 100, "frames": [
         {"transform_matrix": [[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]},
@@ -81,19 +82,40 @@ fn keyframes_of_minute4d() {
         {{"time_s": 2, "position": [1, 2, 3], "look_at": [0, 0, 0], "up": [0, -1, 0], "scene_frame": 4, "speed": 0}},
         {{"time_s": 3, "position": [1, 2, 3], "look_at": [0, 0, 1]}}"#
     )));
-    assert_eq!((got.size, got.fps, got.back_s), (Some((40, 30)), Some(24.0), None));
-    let [a, b, c] = &got.keyframes[..] else { panic!("{got:?}") };
+    assert_eq!(
+        (got.size, got.fps, got.back_s),
+        (Some((40, 30)), Some(24.0), None)
+    );
+    let [a, b, c] = &got.keyframes[..] else {
+        panic!("{got:?}")
+    };
     assert_eq!(matrix(&a.pose), (Matrix3::identity(), Vector3::zeros()));
-    assert_eq!((a.fov_y_deg, a.scene, a.speed), (Some(45.0), Some(SceneTime::Seconds(1.5)), None));
-    assert_eq!((b.scene, b.speed), (Some(SceneTime::Frames(4.0)), Some(0.0)));
+    assert_eq!(
+        (a.fov_y_deg, a.scene, a.speed),
+        (Some(45.0), Some(SceneTime::Seconds(1.5)), None)
+    );
+    assert_eq!(
+        (b.scene, b.speed),
+        (Some(SceneTime::Frames(4.0)), Some(0.0))
+    );
     let up = Some(-Vector3::y());
-    assert_eq!(b.pose, KeyPose::LookAt { position: Vector3::new(1.0, 2.0, 3.0), look_at: Vector3::zeros(), up });
+    assert_eq!(
+        b.pose,
+        KeyPose::LookAt {
+            position: Vector3::new(1.0, 2.0, 3.0),
+            look_at: Vector3::zeros(),
+            up
+        }
+    );
     assert!(matches!(c.pose, KeyPose::LookAt { up: None, .. }));
     let turned = format!(
         r#"{{"format": "minute4d-path", "version": 1, "axes": "opengl", "back_s": 2, "keyframes": [{{"time_s": 0, {IDENTITY}}}]}}"#
     );
     let got = keyed(&turned);
-    assert_eq!(matrix(&got.keyframes[0].pose).0, Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)));
+    assert_eq!(
+        matrix(&got.keyframes[0].pose).0,
+        Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0))
+    );
     assert_eq!(got.back_s, Some(2.0));
 }
 
@@ -103,39 +125,82 @@ fn faults_in_keyframes_are_named() {
     let cases: [(String, &[&str]); 21] = [
         (String::new(), &["no keyframes"]),
         (r#"{"time_s": 0}"#.into(), &["camera 0", "c2w"]),
-        (keyframe(r#""time_s": 0, "look_at": [0,0,0]"#), &["either c2w"]),
+        (
+            keyframe(r#""time_s": 0, "look_at": [0,0,0]"#),
+            &["either c2w"],
+        ),
         (format!("{{{IDENTITY}}}"), &["time_s"]),
-        (keyframe(r#""time_s": 0, "fov": 40"#), &["unknown field `fov`"]),
+        (
+            keyframe(r#""time_s": 0, "fov": 40"#),
+            &["unknown field `fov`"],
+        ),
         (keyframe(r#""time_s": -1"#), &["time_s is -1"]),
         (keyframe(r#""time_s": NaN"#), &["expected value"]),
         (keyframe(r#""time_s": 1e999"#), &["out of range"]),
-        (keyframe(r#""time_s": 0, "fov_y_deg": 180"#), &["fov_y_deg is 180"]),
-        (keyframe(r#""time_s": 0, "speed": 1e9"#), &["speed is 1e9; -1000 to 1000"]),
-        ([keyframe(r#""time_s": 1"#), keyframe(r#""time_s": 1"#)].join(","), &["camera 1", "not behind"]),
         (
-            [keyframe(r#""time_s": 0, "speed": 1"#), keyframe(r#""time_s": 1, "scene_s": 1"#)].join(","),
+            keyframe(r#""time_s": 0, "fov_y_deg": 180"#),
+            &["fov_y_deg is 180"],
+        ),
+        (
+            keyframe(r#""time_s": 0, "speed": 1e9"#),
+            &["speed is 1e9; -1000 to 1000"],
+        ),
+        (
+            [keyframe(r#""time_s": 1"#), keyframe(r#""time_s": 1"#)].join(","),
+            &["camera 1", "not behind"],
+        ),
+        (
+            [
+                keyframe(r#""time_s": 0, "speed": 1"#),
+                keyframe(r#""time_s": 1, "scene_s": 1"#),
+            ]
+            .join(","),
             &["camera 0", "speed"],
         ),
-        (keyframe(r#""time_s": 0, "scene_s": 1, "scene_frame": 1"#), &["both"]),
+        (
+            keyframe(r#""time_s": 0, "scene_s": 1, "scene_frame": 1"#),
+            &["both"],
+        ),
         (
             r#"{"time_s": 0, "c2w": [[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}"#.into(),
             &["camera 0", "c2w is not a rotation"],
         ),
         (r#"{"time_s": 0, "c2w": [[1,0,0,0]]}"#.into(), &["1 rows"]),
-        (r#"{"time_s": 0, "position": [1,1,1], "look_at": [1,1,1]}"#.into(), &["same point"]),
-        (r#"{"time_s": 0, "position": [0,0,0], "look_at": [0,3,0], "up": [0,-1,0]}"#.into(), &["up points"]),
-        (r#"{"time_s": 0, "position": [0,0], "look_at": [0,3,0]}"#.into(), &["position has 2"]),
-        (r#"{"time_s": 0, "position": [0,0,1e12], "look_at": [0,3,0]}"#.into(), &["position holds 1e12"]),
-        (format!("{}{{}}", "{},".repeat(100_000)), &["100001 cameras"]),
+        (
+            r#"{"time_s": 0, "position": [1,1,1], "look_at": [1,1,1]}"#.into(),
+            &["same point"],
+        ),
+        (
+            r#"{"time_s": 0, "position": [0,0,0], "look_at": [0,3,0], "up": [0,-1,0]}"#.into(),
+            &["up points"],
+        ),
+        (
+            r#"{"time_s": 0, "position": [0,0], "look_at": [0,3,0]}"#.into(),
+            &["position has 2"],
+        ),
+        (
+            r#"{"time_s": 0, "position": [0,0,1e12], "look_at": [0,3,0]}"#.into(),
+            &["position holds 1e12"],
+        ),
+        (
+            format!("{}{{}}", "{},".repeat(100_000)),
+            &["100001 cameras"],
+        ),
         ("[".into(), &["is not a camera path"]),
     ];
     for (keyframes, words) in cases {
         refused(&own(&keyframes), words);
     }
     let one = keyframe(r#""time_s": 0"#);
-    refused(r#"{"format": "minute4d-path", "version": 2, "keyframes": []}"#, &["version is 2"]);
+    refused(
+        r#"{"format": "minute4d-path", "version": 2, "keyframes": []}"#,
+        &["version is 2"],
+    );
     refused(r#"{"format": "other", "keyframes": []}"#, &["\"other\""]);
-    refused(&format!(r#"{{"keyframes": [{one}]}}"#), &["\"format\": \"minute4d-path\" is missing"]);
+    refused(
+        &format!(r#"{{"keyframes": [{one}]}}"#),
+        &["\"format\": \"minute4d-path\" is missing"],
+    );
     let half = own(&one).replace(r#""height": 30,"#, "");
     refused(&half, &["width and height belong together"]);
 }
@@ -146,10 +211,19 @@ fn faults_in_lists_are_named() {
     let pose = r#""transform_matrix": [[1,0,0,3],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"#;
     for (text, words) in [
         (r#"{"frames": []}"#.to_owned(), &["no frames"][..]),
-        (list(pose).replace(r#""w": 9, "#, ""), &["camera 0", "w, the size"]),
+        (
+            list(pose).replace(r#""w": 9, "#, ""),
+            &["camera 0", "w, the size"],
+        ),
         (list(pose).replace(r#""h": 9"#, r#""h": 9.5"#), &["h = 9.5"]),
-        (list(r#""transform_matrix": [[1,2,3]]"#), &["transform_matrix", "4 rows"]),
-        (list(&pose.replace("[0,1,0,0]", "[0,-1,0,0]")), &["not a rotation"]),
+        (
+            list(r#""transform_matrix": [[1,2,3]]"#),
+            &["transform_matrix", "4 rows"],
+        ),
+        (
+            list(&pose.replace("[0,1,0,0]", "[0,-1,0,0]")),
+            &["not a rotation"],
+        ),
         (list(r#""time": 0"#), &["transform_matrix is missing"]),
         (list(&format!(r#""time": 2, {pose}"#)), &["time = 2"]),
         (list(&format!(r#""k1": 0.1, {pose}"#)), &["distortion"]),

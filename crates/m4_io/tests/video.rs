@@ -1,13 +1,18 @@
 //! Clips: both decoders, times, sizes, orientation, colours.
 
-use crate::common::{ffmpeg, have_encoder, pinwheel, psnr, temporary, times, without_ffmpeg as all};
+use crate::common::{
+    ffmpeg, have_encoder, pinwheel, psnr, temporary, times, without_ffmpeg as all,
+};
 use m4_core::{Plane, RgbImage, Silent, Video};
 use m4_io::ErrorKind;
 use m4_io::video::{VideoOptions, read};
 use std::path::Path;
 
 fn with_ffmpeg() -> VideoOptions {
-    VideoOptions { size: None, ..VideoOptions::default() }
+    VideoOptions {
+        size: None,
+        ..VideoOptions::default()
+    }
 }
 
 fn clip(path: &Path, options: &VideoOptions) -> Video {
@@ -27,16 +32,37 @@ fn example_clip_is_read_in_order() {
 
 #[test]
 fn thinning_and_shrinking() {
-    let options = VideoOptions { max_frames: Some(10), size: Some(240), ..all() };
+    let options = VideoOptions {
+        max_frames: Some(10),
+        size: Some(240),
+        ..all()
+    };
     let video = clip(&pinwheel(), &options);
-    assert_eq!((video.frames.len(), video.frames[0].rgb.size()), (10, (240, 180)));
+    assert_eq!(
+        (video.frames.len(), video.frames[0].rgb.size()),
+        (10, (240, 180))
+    );
     assert!((times(&video)[9] - 95.0 / 24.0).abs() < 1e-6);
-    assert!(video.warnings.iter().any(|w| w.contains("10 of 96")), "{:?}", video.warnings);
+    assert!(
+        video.warnings.iter().any(|w| w.contains("10 of 96")),
+        "{:?}",
+        video.warnings
+    );
     let original = clip(&pinwheel(), &all());
-    let small = m4_core::resize_rgb(&original.frames[95].rgb, 240, 180, m4_core::ResizeFilter::Triangle).unwrap();
+    let small = m4_core::resize_rgb(
+        &original.frames[95].rgb,
+        240,
+        180,
+        m4_core::ResizeFilter::Triangle,
+    )
+    .unwrap();
     assert_eq!(video.frames[9].rgb, small);
 
-    let part = VideoOptions { start_s: Some(1.0), end_s: Some(2.0), ..all() };
+    let part = VideoOptions {
+        start_s: Some(1.0),
+        end_s: Some(2.0),
+        ..all()
+    };
     let video = clip(&pinwheel(), &part);
     assert_eq!((video.frames.len(), times(&video)[0]), (25, 1.0));
     assert_eq!(video.frames[0].rgb, original.frames[24].rgb);
@@ -48,7 +74,11 @@ fn assert_same(own: &Video, theirs: &Video, least_db: f64, what: &str) {
     for (a, b) in own.frames.iter().zip(&theirs.frames) {
         let off_s = (a.time_s - b.time_s).abs();
         let db = psnr(&a.rgb, &b.rgb);
-        assert!(off_s < 2e-3 && db > least_db, "{what}: {db} dB, off by {off_s} s at {}", a.time_s);
+        assert!(
+            off_s < 2e-3 && db > least_db,
+            "{what}: {db} dB, off by {off_s} s at {}",
+            a.time_s
+        );
     }
 }
 
@@ -70,16 +100,23 @@ fn streams_of_many_encoders_settings_decode_like_in_ffmpeg() {
         let mp4 = dir.path().join(format!("{i}.mp4"));
         let mkv = dir.path().join(format!("{i}.mkv"));
         assert!(ffmpeg(&format!("{input} {setting}"), &mp4), "{setting}");
-        assert!(ffmpeg(&format!("-i {} -c copy", mp4.display()), &mkv), "{setting}");
+        assert!(
+            ffmpeg(&format!("-i {} -c copy", mp4.display()), &mkv),
+            "{setting}"
+        );
         let (own, theirs) = (clip(&mp4, &all()), clip(&mkv, &with_ffmpeg()));
         assert!(own.warnings.is_empty(), "{setting}: {:?}", own.warnings);
-        assert_eq!((own.frames.len(), theirs.frames.len()), (40, 40), "{setting}");
+        assert_eq!(
+            (own.frames.len(), theirs.frames.len()),
+            (40, 40),
+            "{setting}"
+        );
         assert_same(&own, &theirs, 38.0, setting);
     }
 }
 
-/// The clip `from` with another display matrix (the first of the track header's nine numbers is at the
-/// byte after 40 bytes of version, times and volume).
+/// The clip `from` with another display matrix (the first of the track header's nine numbers is at
+/// the byte after 40 bytes of version, times and volume).
 fn with_matrix(from: &Path, matrix: [i32; 4], path: &Path) {
     let mut bytes = std::fs::read(from).unwrap();
     let at = bytes.windows(4).position(|w| w == b"tkhd").unwrap() + 4 + 40;
@@ -90,7 +127,8 @@ fn with_matrix(from: &Path, matrix: [i32; 4], path: &Path) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// An image mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the reader's own code.
+/// An image mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
+/// reader's own code.
 fn mapped(image: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
     let (w, h) = (image.width() as i32, image.height() as i32);
     let (width, height) = ((a * w + c * h).abs(), (b * w + d * h).abs());
@@ -121,13 +159,19 @@ const EIGHT: [[i32; 4]; 8] = [
 #[test]
 fn all_eight_display_matrices_are_applied() {
     let dir = tempfile::tempdir().unwrap();
-    let one = VideoOptions { max_frames: Some(1), ..all() };
+    let one = VideoOptions {
+        max_frames: Some(1),
+        ..all()
+    };
     let plain = clip(&pinwheel(), &one);
     for matrix in EIGHT {
         let path = dir.path().join("turned.mp4");
         with_matrix(&pinwheel(), matrix, &path);
         let got = clip(&path, &one);
-        assert!(got.frames[0].rgb == mapped(&plain.frames[0].rgb, matrix), "{matrix:?}");
+        assert!(
+            got.frames[0].rgb == mapped(&plain.frames[0].rgb, matrix),
+            "{matrix:?}"
+        );
     }
 }
 
@@ -137,7 +181,10 @@ fn ffmpeg_turns_and_mirrors_alike() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
-    let one = VideoOptions { max_frames: Some(1), ..with_ffmpeg() };
+    let one = VideoOptions {
+        max_frames: Some(1),
+        ..with_ffmpeg()
+    };
     // 10-bit HEVC, as phones write it, with the matrix of the container.
     let hevc = dir.path().join("hevc.mp4");
     let arguments = format!(
@@ -166,17 +213,26 @@ fn without_ffmpeg_the_message_names_the_codec_and_the_way_out() {
     let mut cases = vec![
         ("-c:v libx264 -pix_fmt yuv420p10le", "10-bit H.264"),
         ("-c:v libx264 -pix_fmt yuv422p", "4:2:2"),
-        ("-c:v libx264 -flags +ildct+ilme -x264-params interlaced=1", "interlaced H.264"),
+        (
+            "-c:v libx264 -flags +ildct+ilme -x264-params interlaced=1",
+            "interlaced H.264",
+        ),
     ];
     if have_encoder("libx265") {
-        cases.push(("-c:v libx265 -tag:v hvc1 -x265-params log-level=error", "HEVC"));
+        cases.push((
+            "-c:v libx265 -tag:v hvc1 -x265-params log-level=error",
+            "HEVC",
+        ));
     }
     for (setting, name) in cases {
         assert!(ffmpeg(&format!("{input} {setting}"), &path), "{name}");
         let error = read(&path, &all(), &Silent).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Unavailable, "{error}");
         let text = error.to_string();
-        assert!(text.contains(name) && text.contains("install ffmpeg") && text.contains("libx264"), "{text}");
+        assert!(
+            text.contains(name) && text.contains("install ffmpeg") && text.contains("libx264"),
+            "{text}"
+        );
         assert_eq!(clip(&path, &with_ffmpeg()).frames.len(), 2, "{name}");
     }
 }
@@ -190,23 +246,36 @@ fn variable_rate_and_edit_lists_keep_their_times() {
     let path = dir.path().join("vfr.mp4");
     // Every frame whose number is not 3, 4 or 7 modulo 10; times are those of the frames that stay.
     let filter = "select=not(eq(mod(n\\,10)\\,3)+eq(mod(n\\,10)\\,4)+eq(mod(n\\,10)\\,7))";
-    let arguments = format!("-i {} -vf {filter} -fps_mode passthrough -c:v libx264 -bf 2", pinwheel().display());
+    let arguments = format!(
+        "-i {} -vf {filter} -fps_mode passthrough -c:v libx264 -bf 2",
+        pinwheel().display()
+    );
     assert!(ffmpeg(&arguments, &path));
     let video = clip(&path, &all());
-    let want: Vec<f64> = (0..96).filter(|n| ![3, 4, 7].contains(&(n % 10))).map(|n| f64::from(n) / 24.0).collect();
+    let want: Vec<f64> = (0..96)
+        .filter(|n| ![3, 4, 7].contains(&(n % 10)))
+        .map(|n| f64::from(n) / 24.0)
+        .collect();
     assert_eq!(video.frames.len(), want.len());
     for (got, want) in times(&video).iter().zip(&want) {
         assert!((got - want).abs() < 1e-3, "{got} {want}");
     }
     // Cut without coding again: the file holds frames before the start, which the edit list hides.
     let cut = dir.path().join("cut.mp4");
-    assert!(ffmpeg(&format!("-ss 1.0 -i {} -t 1.5 -c copy", pinwheel().display()), &cut));
+    assert!(ffmpeg(
+        &format!("-ss 1.0 -i {} -t 1.5 -c copy", pinwheel().display()),
+        &cut
+    ));
     let (own, original) = (clip(&cut, &all()), clip(&pinwheel(), &all()));
     let mkv = dir.path().join("cut.mkv");
     assert!(ffmpeg(&format!("-i {} -c:v ffv1", cut.display()), &mkv));
     let theirs = clip(&mkv, &with_ffmpeg());
     // 36 frames of 1.5 seconds, one more or less at each end
-    assert!((34..=38).contains(&own.frames.len()), "{} frames", own.frames.len());
+    assert!(
+        (34..=38).contains(&own.frames.len()),
+        "{} frames",
+        own.frames.len()
+    );
     assert_eq!(own.frames.len(), theirs.frames.len());
     assert_eq!(own.frames[0].rgb, original.frames[24].rgb);
     for (a, b) in own.frames.iter().zip(&theirs.frames) {
@@ -221,15 +290,32 @@ fn matrix_and_range_are_those_of_the_stream() {
     }
     let dir = tempfile::tempdir().unwrap();
     // Flat patches of known colours, coded almost without loss.
-    let colours = [[250, 20, 30], [20, 240, 40], [30, 20, 230], [128, 128, 128], [255, 255, 255], [0, 0, 0]];
+    let colours = [
+        [250, 20, 30],
+        [20, 240, 40],
+        [30, 20, 230],
+        [128, 128, 128],
+        [255, 255, 255],
+        [0, 0, 0],
+    ];
     let image = Plane::from_fn(192, 64, |x, _| colours[x / 32]);
     let png = dir.path().join("patches.png");
     m4_io::image::write_rgb(&png, &image).unwrap();
     for (name, matrix, range, tags) in [
-        ("601-tv", "bt601", "tv", "-colorspace smpte170m -color_range tv"),
+        (
+            "601-tv",
+            "bt601",
+            "tv",
+            "-colorspace smpte170m -color_range tv",
+        ),
         ("709-tv", "bt709", "tv", "-colorspace bt709 -color_range tv"),
         ("709-pc", "bt709", "pc", "-colorspace bt709 -color_range pc"),
-        ("601-pc", "bt601", "pc", "-colorspace smpte170m -color_range pc"),
+        (
+            "601-pc",
+            "bt601",
+            "pc",
+            "-colorspace smpte170m -color_range pc",
+        ),
     ] {
         let path = dir.path().join(format!("{name}.mp4"));
         let arguments = format!(
@@ -241,7 +327,10 @@ fn matrix_and_range_are_those_of_the_stream() {
         for (i, want) in colours.iter().enumerate() {
             let pixel = got.frames[0].rgb[(32 * i + 16, 32)];
             let off = pixel.iter().zip(want).map(|(a, b)| a.abs_diff(*b)).max();
-            assert!(off <= Some(4), "{name}: {pixel:?} where {want:?} was expected");
+            assert!(
+                off <= Some(4),
+                "{name}: {pixel:?} where {want:?} was expected"
+            );
         }
     }
 }
@@ -269,12 +358,23 @@ fn high_dynamic_range_is_tone_mapped_with_a_warning() {
             );
             assert!(ffmpeg(&arguments, &path), "{name} {format}");
             let video = clip(&path, &with_ffmpeg());
-            assert!(video.warnings.iter().any(|w| w.contains(name)), "{name} {format}: {:?}", video.warnings);
+            assert!(
+                video.warnings.iter().any(|w| w.contains(name)),
+                "{name} {format}: {:?}",
+                video.warnings
+            );
             let row = video.frames[0].rgb.row(32);
             let white = if name == "PQ" { 148 } else { 191 };
-            assert!((205..=245).contains(&row[white][1]), "{name} {format}: {:?}", row[white]);
+            assert!(
+                (205..=245).contains(&row[white][1]),
+                "{name} {format}: {:?}",
+                row[white]
+            );
             for pair in row.windows(2) {
-                assert!(i32::from(pair[1][1]) - i32::from(pair[0][1]) > -6, "{name} {format}");
+                assert!(
+                    i32::from(pair[1][1]) - i32::from(pair[0][1]) > -6,
+                    "{name} {format}"
+                );
             }
         }
     }
@@ -286,11 +386,18 @@ fn pixels_that_are_not_square_become_square() {
         return;
     }
     let dir = tempfile::tempdir().unwrap();
-    let input = format!("-i {} -frames:v 2 -vf scale=360:360,setsar=4/3", pinwheel().display());
+    let input = format!(
+        "-i {} -frames:v 2 -vf scale=360:360,setsar=4/3",
+        pinwheel().display()
+    );
     for (name, setting) in [("own.mp4", "-c:v libx264"), ("other.mkv", "-c:v ffv1")] {
         let path = dir.path().join(name);
         assert!(ffmpeg(&format!("{input} {setting}"), &path), "{name}");
-        assert_eq!(clip(&path, &with_ffmpeg()).frames[0].rgb.size(), (480, 360), "{name}");
+        assert_eq!(
+            clip(&path, &with_ffmpeg()).frames[0].rgb.size(),
+            (480, 360),
+            "{name}"
+        );
     }
 }
 
@@ -302,11 +409,17 @@ fn a_folder_of_images_is_a_clip() {
         m4_io::image::write_rgb(&dir.path().join(format!("f{i}.png")), &image).unwrap();
     }
     std::fs::write(dir.path().join("notes.txt"), "not an image").unwrap();
-    let options = VideoOptions { folder_fps: 10.0, ..all() };
+    let options = VideoOptions {
+        folder_fps: 10.0,
+        ..all()
+    };
     let video = clip(dir.path(), &options);
     assert_eq!(video.frames.len(), 12);
     for (i, frame) in video.frames.iter().enumerate() {
-        assert_eq!((frame.rgb[(0, 0)][0], frame.time_s), (i as u8 * 20, i as f64 / 10.0));
+        assert_eq!(
+            (frame.rgb[(0, 0)][0], frame.time_s),
+            (i as u8 * 20, i as f64 / 10.0)
+        );
     }
 }
 
@@ -333,7 +446,10 @@ fn exif_orientation_and_focal_length_are_applied() {
         with_exif.extend(&jpeg[2..]);
         std::fs::write(&path, with_exif).unwrap();
     }
-    let half = VideoOptions { size: Some(200), ..all() };
+    let half = VideoOptions {
+        size: Some(200),
+        ..all()
+    };
     for (options, scale) in [(all(), 1.0), (half, 0.5)] {
         let video = clip(dir.path(), &options);
         let rgb = &video.frames[0].rgb;
@@ -342,6 +458,10 @@ fn exif_orientation_and_focal_length_are_applied() {
         assert!(rgb[(w / 2, 5)][0] < 60 && rgb[(w / 2, h - 5)][0] > 180);
         // The diagonal is 500 pixels.
         let want = 26.0 / 43.266_615 * 500.0 * scale;
-        assert!((video.focal_px.unwrap() - want).abs() < 1e-6, "{:?} {want}", video.focal_px);
+        assert!(
+            (video.focal_px.unwrap() - want).abs() < 1e-6,
+            "{:?} {want}",
+            video.focal_px
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! The inputs and outputs of one frame, shared by all versions of the kernels, and statistics of training steps.
+//! The inputs and outputs of one frame, shared by all versions of the kernels, and statistics of
+//! training steps.
 
 use m4_core::{Camera, Splats};
 
@@ -54,8 +55,9 @@ pub struct Gradients {
     pub columns: Vec<Vec<f32>>,
     /// `[n]`: 1 where the splat reached a pixel of this frame, else 0.
     pub touched: Vec<u8>,
-    /// `[n]`: length of the gradient with respect to the projected centre in units of half the image (docs/spec/optimiser.md 1.7); `None`
-    /// unless asked for, arbitrary in rows that are not `touched`.
+    /// `[n]`: length of the gradient with respect to the projected centre in units of half the
+    /// image (docs/spec/optimiser.md 1.7); `None` unless asked for, arbitrary in rows that are not
+    /// `touched`.
     pub image: Option<Vec<f32>>,
     /// With respect to the camera; 0 unless asked for.
     pub camera: CameraGradient,
@@ -108,17 +110,21 @@ pub struct StepStats {
     pub steps: usize,
     /// Frames rendered: as many per step as a batch has.
     pub frames: usize,
-    /// Mean of the absolute differences over channels, pixels and frames; not finite if an image was not.
+    /// Mean of the absolute differences over channels, pixels and frames; not finite if an image
+    /// was not.
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
-    /// PSNR of the frame rendered last, dB, colours clamped to 0..1, at most 100; NaN where it was not measured.
+    /// PSNR of the frame rendered last, dB, colours clamped to 0..1, at most 100; NaN where it was
+    /// not measured.
     pub psnr: f64,
     /// Splats that a step moved, mean.
     pub touched: f64,
-    /// Gradients of the cameras that were requested, in the order of the views, each with the number of its frame.
+    /// Gradients of the cameras that were requested, in the order of the views, each with the
+    /// number of its frame.
     pub cameras: Vec<(usize, CameraGradient)>,
-    /// Gradients of the exposures that were requested, likewise: rows of the matrix, each followed by its offset.
+    /// Gradients of the exposures that were requested, likewise: rows of the matrix, each followed
+    /// by its offset.
     pub exposures: Vec<(usize, [f64; 12])>,
     /// No step moved a parameter to NaN or infinity.
     pub splats_are_finite: bool,

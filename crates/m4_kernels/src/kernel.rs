@@ -21,8 +21,15 @@ pub enum Kernel {
 
 impl Kernel {
     /// In the order in which a step runs them.
-    pub const ALL: [Self; 7] =
-        [Self::Project, Self::Bin, Self::Blend, Self::Photo, Self::BlendBackward, Self::ProjectBackward, Self::Adam];
+    pub const ALL: [Self; 7] = [
+        Self::Project,
+        Self::Bin,
+        Self::Blend,
+        Self::Photo,
+        Self::BlendBackward,
+        Self::ProjectBackward,
+        Self::Adam,
+    ];
 
     /// As reports call it.
     #[must_use]
@@ -44,8 +51,8 @@ impl Kernel {
         matches!(self, Self::Project | Self::Bin | Self::Blend)
     }
 
-    /// What a bench counts as one item of it: a splat that lives at the instant (forward) or was touched, an entry
-    /// of a tile list that was looked at, a pixel.
+    /// What a bench counts as one item of it: a splat that lives at the instant (forward) or was
+    /// touched, an entry of a tile list that was looked at, a pixel.
     #[must_use]
     pub fn item(self) -> &'static str {
         match self {

@@ -19,11 +19,13 @@
 //! | `adam` | sparse parameter update |
 //! | `score` | time-weighted error per splat |
 //!
-//! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and f64,
-//! slow on purpose, the oracle of the tests), `cpu.rs` the SIMD twin that the product runs, and `gpu.rs` the twin in CubeCL
-//! (feature `gpu`; its devices, memory, sorts and sums are in `gpu`, splats on a device in `splats`). `ellipse` is the alpha of a splat
-//! at a pixel, which binning and blending share; `stage` goes from splats to what tiles are made of, slice, project and shade in one
-//! pass. [`Renderer`] strings the CPU twins together, `renderer::gpu` those of the GPU; `plan` says how much memory they take. Lengths are checked when data enters
+//! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and
+//! f64, slow on purpose, the oracle of the tests), `cpu.rs` the SIMD twin that the product runs,
+//! and `gpu.rs` the twin in CubeCL (feature `gpu`; its devices, memory, sorts and sums are in
+//! `gpu`, splats on a device in `splats`). `ellipse` is the alpha of a splat at a pixel, which
+//! binning and blending share; `stage` goes from splats to what tiles are made of, slice, project
+//! and shade in one pass. [`Renderer`] strings the CPU twins together, `renderer::gpu` those of the
+//! GPU; `plan` says how much memory they take. Lengths are checked when data enters
 //! ([`m4_core::Splats`], [`Frame`]); inside, kernels index freely.
 
 #![cfg_attr(
@@ -63,7 +65,9 @@ mod order;
 mod simd;
 mod stage;
 
-pub use frame::{CameraGradient, Frame, Gradients, NODE_PARAMETERS, NodeGradients, StepStats, View};
+pub use frame::{
+    CameraGradient, Frame, Gradients, NODE_PARAMETERS, NodeGradients, StepStats, View,
+};
 pub use kernel::Kernel;
 pub use m4_core::{SIMD_ENV, SimdLevel, SimdLevelError};
 pub use order::morton_order;

@@ -11,7 +11,10 @@ pub fn morton_order(splats: &Splats) -> Vec<u32> {
     let times = splats.column(Column::TimeMean, 0);
     let columns = [axes[0], axes[1], axes[2], times];
     let mut limits = [(0.0, 1.0); 4];
-    limits.par_iter_mut().zip(columns).for_each(|(limits, column)| *limits = quantiles(column));
+    limits
+        .par_iter_mut()
+        .zip(columns)
+        .for_each(|(limits, column)| *limits = quantiles(column));
     let [frame @ .., (first, last)] = limits;
     let code = |row: usize| {
         let place = (0..3).fold(0, |sum, k| {
@@ -70,13 +73,21 @@ mod tests {
 
     #[test]
     fn neighbours_in_space_become_neighbours_in_memory() {
-        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
+        let layout = SplatLayout {
+            isotropic: true,
+            sh_degree: 0,
+            time_degree: 0,
+        };
         let mut splats = Splats::zeros(layout, 3000, 1000);
         let mut rng = CounterRng::new(1, 0, 0);
         for k in 0..3 {
-            splats.column_mut(Column::Mean, k).fill_with(|| rng.uniform() as f32);
+            splats
+                .column_mut(Column::Mean, k)
+                .fill_with(|| rng.uniform() as f32);
         }
-        splats.column_mut(Column::TimeMean, 0).fill_with(|| (40.0 * rng.uniform()) as f32);
+        splats
+            .column_mut(Column::TimeMean, 0)
+            .fill_with(|| (40.0 * rng.uniform()) as f32);
         let order = morton_order(&splats);
         let sorted = splats.gather(&order).unwrap();
         let mut seen = order;
@@ -84,10 +95,25 @@ mod tests {
         assert!(seen.iter().copied().eq(0..4000), "every row once");
         let walk = |s: &Splats| -> f64 {
             let axis = |k, i: usize| f64::from(s.column(Column::Mean, k)[i]);
-            (1..3000).map(|i| (0..3).map(|k| (axis(k, i) - axis(k, i - 1)).powi(2)).sum::<f64>().sqrt()).sum()
+            (1..3000)
+                .map(|i| {
+                    (0..3)
+                        .map(|k| (axis(k, i) - axis(k, i - 1)).powi(2))
+                        .sum::<f64>()
+                        .sqrt()
+                })
+                .sum()
         };
-        assert!(walk(&sorted) < 0.25 * walk(&splats), "{} of {}", walk(&sorted), walk(&splats));
+        assert!(
+            walk(&sorted) < 0.25 * walk(&splats),
+            "{} of {}",
+            walk(&sorted),
+            walk(&splats)
+        );
         let times = sorted.column(Column::TimeMean, 0);
-        assert!(times.windows(2).all(|t| t[1] > t[0] - 1.5), "dynamic splats lie in order of time");
+        assert!(
+            times.windows(2).all(|t| t[1] > t[0] - 1.5),
+            "dynamic splats lie in order of time"
+        );
     }
 }

@@ -25,8 +25,8 @@ pub struct Part {
     pub largest: u64,
 }
 
-/// The memory that something takes on the device, part by part. The runtime rounds buffers up and keeps some for
-/// itself; measured, that is a few per cent.
+/// The memory that something takes on the device, part by part. The runtime rounds buffers up and
+/// keeps some for itself; measured, that is a few per cent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Plan {
     doing: &'static str,
@@ -43,13 +43,17 @@ pub struct Plan {
 fn part(what: &'static str, buffers: &[usize]) -> Part {
     // a buffer has at least one number
     let bytes = buffers.iter().map(|&len| 4 * len.max(1) as u64);
-    Part { what, bytes: bytes.clone().sum(), largest: bytes.max().unwrap_or(0) }
+    Part {
+        what,
+        bytes: bytes.clone().sum(),
+        largest: bytes.max().unwrap_or(0),
+    }
 }
 
 impl Plan {
-    /// Training of `n_static` and `n_dynamic` splats on `frames` images of `size` (columns, rows) that stay on the
-    /// device, eight bits per channel, with room for `entries` entries of tile lists ([`Size::first_entries`] at first; a
-    /// trainer makes more where a frame has more).
+    /// Training of `n_static` and `n_dynamic` splats on `frames` images of `size` (columns, rows)
+    /// that stay on the device, eight bits per channel, with room for `entries` entries of tile
+    /// lists ([`Size::first_entries`] at first; a trainer makes more where a frame has more).
     pub fn training(
         n_static: usize,
         n_dynamic: usize,
@@ -60,7 +64,13 @@ impl Plan {
     ) -> Self {
         let n = n_static + n_dynamic;
         let (width, height) = size;
-        let size = Size { n, width, height, entries, training: true };
+        let size = Size {
+            n,
+            width,
+            height,
+            entries,
+            training: true,
+        };
         let columns = columns(n_static, n_dynamic, layout);
         let pixels = size.pixels();
         let mut parts = vec![
@@ -69,7 +79,10 @@ impl Plan {
             part("gradients", &columns),
         ];
         parts.extend(work(&size));
-        parts.push(part("loss", &[9 * pixels, 9 * loss::tiles(width, height), LOSSES + 1]));
+        parts.push(part(
+            "loss",
+            &[9 * pixels, 9 * loss::tiles(width, height), LOSSES + 1],
+        ));
         parts.push(density_control(&columns, n, pixels));
         // planes of bytes, each in words of its own
         let frame = part("frames", &[3 * pixels.div_ceil(4)]);
@@ -97,11 +110,25 @@ impl Plan {
         entries: usize,
     ) -> Self {
         let (width, height) = size;
-        let size = Size { n: n_static + n_dynamic, width, height, entries, training: false };
+        let size = Size {
+            n: n_static + n_dynamic,
+            width,
+            height,
+            entries,
+            training: false,
+        };
         let mut parts = vec![part("splats", &columns(n_static, n_dynamic, layout))];
         parts.extend(work(&size));
-        let [batch, centres] = ["gradients of a batch", "gradients in the image"].map(|what| part(what, &[]));
-        Self { doing: "drawing", parts, frame_bytes: 0, frames: 0, batch, centres }
+        let [batch, centres] =
+            ["gradients of a batch", "gradients in the image"].map(|what| part(what, &[]));
+        Self {
+            doing: "drawing",
+            parts,
+            frame_bytes: 0,
+            frames: 0,
+            batch,
+            centres,
+        }
     }
 
     /// With `n_bound` splats bound to `windows`.
@@ -113,8 +140,16 @@ impl Plan {
         }
         buffers.push(Moment::length(windows));
         if self.doing == TRAINING {
-            let numbers = NODE_PARAMETERS * windows.iter().map(|w| w.anchors().len() * w.keys().len()).sum::<usize>();
-            buffers.extend([numbers, numbers, windows.iter().map(|w| w.keys().len()).sum()]);
+            let numbers = NODE_PARAMETERS
+                * windows
+                    .iter()
+                    .map(|w| w.anchors().len() * w.keys().len())
+                    .sum::<usize>();
+            buffers.extend([
+                numbers,
+                numbers,
+                windows.iter().map(|w| w.keys().len()).sum(),
+            ]);
             // the lists are made anew where rows change
             buffers.extend([4 * n_bound, 4 * n_bound]);
             buffers.extend(Sort::lengths(4 * n_bound));
@@ -157,13 +192,14 @@ impl Plan {
         self.total() - self.frame_bytes * self.frames as u64
     }
 
-    /// The bytes that `limit_bytes` leaves for frames, 0 if it leaves none: with less than all of them need, frames are
-    /// to be sent to the device as they are used.
+    /// The bytes that `limit_bytes` leaves for frames, 0 if it leaves none: with less than all of
+    /// them need, frames are to be sent to the device as they are used.
     pub fn frames_budget(&self, limit_bytes: u64) -> u64 {
         limit_bytes.saturating_sub(self.without_frames())
     }
 
-    /// Whether everything fits into `limit_bytes`. Fails with [`GpuError::OverLimit`] with the size of every part.
+    /// Whether everything fits into `limit_bytes`. Fails with [`GpuError::OverLimit`] with the size
+    /// of every part.
     pub fn check(&self, limit_bytes: u64) -> Result<(), GpuError> {
         if self.total() <= limit_bytes {
             return Ok(());
@@ -179,7 +215,9 @@ impl Plan {
     /// Whether the device allows buffers as large as the largest of each part.
     /// Fails with [`GpuError::TooLarge`] with the part whose buffer is not allowed.
     pub fn check_buffers(&self, gpu: &Gpu) -> Result<(), GpuError> {
-        self.parts.iter().try_for_each(|part| gpu.fits(part.what, part.largest as usize))
+        self.parts
+            .iter()
+            .try_for_each(|part| gpu.fits(part.what, part.largest as usize))
     }
 }
 
@@ -198,17 +236,30 @@ fn megabytes(bytes: u64) -> u64 {
     bytes.div_ceil(1_000_000)
 }
 
-/// Temporary memory: scores of splats and the order of a frame's errors, or the order of the scores and the outcome of each
-/// splat, or splats and a moment twice while their rows change, or the sums of colours.
+/// Temporary memory: scores of splats and the order of a frame's errors, or the order of the scores
+/// and the outcome of each splat, or splats and a moment twice while their rows change, or the sums
+/// of colours.
 fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
-    let mut scores = vec![2 * n, 2 * n, pixels, pixels, pixels, 2 * pixels.div_ceil(256)];
+    let mut scores = vec![
+        2 * n,
+        2 * n,
+        pixels,
+        pixels,
+        pixels,
+        2 * pixels.div_ceil(256),
+    ];
     scores.extend(Sort::lengths(pixels));
     let mut decision = vec![2 * n, 2 * n, n, n, n, 2 * n, 2 * n, n.div_ceil(256)];
     decision.extend(Sort::lengths(n));
     decision.extend(Scan::lengths(2 * n));
     let rows = [columns, columns, &[n, 2 * n, 2 * n, n, n, n]].concat();
     let what = "density control";
-    let all = [part(what, &scores), part(what, &decision), part(what, &rows), part(what, &[6 * n])];
+    let all = [
+        part(what, &scores),
+        part(what, &decision),
+        part(what, &rows),
+        part(what, &[6 * n]),
+    ];
     Part {
         what,
         bytes: all.iter().map(|part| part.bytes).max().unwrap_or(0),
@@ -229,12 +280,18 @@ fn work(size: &Size) -> Vec<Part> {
     let splats = [RECORD * n, REACH * n, n, n, n, n, n, EYE];
     let mut lists = vec![entries; 6];
     lists.extend([2 * tiles, tiles, tiles, tiles, tiles + 1, ALLOCATED, TOTALS]);
-    let mut parts =
-        vec![part("splats of a frame", &splats), part("tile lists", &lists), part("image", &[5 * pixels, pixels])];
+    let mut parts = vec![
+        part("splats of a frame", &splats),
+        part("tile lists", &lists),
+        part("image", &[5 * pixels, pixels]),
+    ];
     if size.training {
         let buckets = size.buckets();
         parts.push(part("gradients of tile entries", &[SUMS * entries]));
-        parts.push(part("what gradients start from", &[buckets, CHECKPOINT * TILE * TILE * buckets]));
+        parts.push(part(
+            "what gradients start from",
+            &[buckets, CHECKPOINT * TILE * TILE * buckets],
+        ));
         parts.push(part("gradient of the image", &[3 * pixels]));
     }
     parts
@@ -247,10 +304,21 @@ mod tests {
     use crate::renderer::gpu::Size;
     use m4_core::{Pose, SplatLayout, Window};
 
-    const LAYOUT: SplatLayout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+    const LAYOUT: SplatLayout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
 
     fn plan(frames: usize) -> Plan {
-        Plan::training(20_000, 80_000, LAYOUT, (480, 360), frames, Size::first_entries(100_000))
+        Plan::training(
+            20_000,
+            80_000,
+            LAYOUT,
+            (480, 360),
+            frames,
+            Size::first_entries(100_000),
+        )
     }
 
     #[test]
@@ -261,22 +329,45 @@ mod tests {
         assert_eq!(of("splats"), splats);
         assert_eq!(of("moments"), 2 * splats + 4 * 100_000);
         assert_eq!(of("frames"), 10 * 3 * 480 * 360);
-        assert_eq!(plan.total(), plan.without_frames() + 10 * plan.frame_bytes());
-        assert_eq!(plan.clone().with_batches().total(), plan.total() + splats + 4 * 100_000);
-        assert_eq!(plan.clone().with_image_gradients().total(), plan.total() + 4 * 4 * 100_000);
+        assert_eq!(
+            plan.total(),
+            plan.without_frames() + 10 * plan.frame_bytes()
+        );
+        assert_eq!(
+            plan.clone().with_batches().total(),
+            plan.total() + splats + 4 * 100_000
+        );
+        assert_eq!(
+            plan.clone().with_image_gradients().total(),
+            plan.total() + 4 * 4 * 100_000
+        );
     }
 
     #[test]
     fn bound_splats_are_counted_where_there_are_windows() {
-        let pose = Pose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] };
-        let window = Window::new(vec![0.0, 1.0, 2.0], vec![[0.0; 3]; 200], vec![pose; 600]).unwrap();
+        let pose = Pose {
+            position: [0.0; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+        };
+        let window =
+            Window::new(vec![0.0, 1.0, 2.0], vec![[0.0; 3]; 200], vec![pose; 600]).unwrap();
         assert_eq!(plan(1).with_bound(0, &[]), plan(1));
-        let bound = |plan: Plan| plan.parts().iter().find(|p| p.what == "bound splats").unwrap().bytes;
+        let bound = |plan: Plan| {
+            plan.parts()
+                .iter()
+                .find(|p| p.what == "bound splats")
+                .unwrap()
+                .bytes
+        };
         let few = bound(plan(1).with_bound(1000, std::slice::from_ref(&window)));
         let more = bound(plan(1).with_bound(11_000, std::slice::from_ref(&window)));
         // bindings, what is drawn, and lists; twice keys, values and digits to sort lists
-        assert!((10_000 * 4 * 34..10_000 * 4 * 50).contains(&(more - few)), "{few} to {more} bytes");
-        let drawing = Plan::drawing(20_000, 80_000, LAYOUT, (480, 360), 1000).with_bound(1000, &[window]);
+        assert!(
+            (10_000 * 4 * 34..10_000 * 4 * 50).contains(&(more - few)),
+            "{few} to {more} bytes"
+        );
+        let drawing =
+            Plan::drawing(20_000, 80_000, LAYOUT, (480, 360), 1000).with_bound(1000, &[window]);
         // poses are trained: two moments and the counts of their steps
         let moments = 4 * (2 * 6 * 600 + 3);
         assert!(few >= bound(drawing) + moments, "moments");
@@ -287,7 +378,10 @@ mod tests {
         let plan = plan(500);
         assert!(plan.check(plan.total()).is_ok());
         let error = plan.check(100_000_000).unwrap_err();
-        assert!(matches!(error, GpuError::OverLimit { limit: 100, .. }), "{error}");
+        assert!(
+            matches!(error, GpuError::OverLimit { limit: 100, .. }),
+            "{error}"
+        );
         let text = error.to_string();
         for part in plan.parts() {
             assert!(text.contains(part.what), "{text} lacks {}", part.what);

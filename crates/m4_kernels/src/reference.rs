@@ -51,21 +51,37 @@ fn sigmoid<T: Real>(x: T) -> T {
 /// One splat in the frame, or `None` where the contracts leave it out.
 fn draw<T: Real>(row: usize, splat: &Splat<T>, setup: &Setup<T>) -> Option<(Drawn<T>, Ellipse<T>)> {
     let (sliced, dt) = match &splat.geometry {
-        Geometry::Gaussian(g) => (slice(g, setup.t), g.life.map_or(T::zero(), |life| setup.t - life.time_mean)),
+        Geometry::Gaussian(g) => (
+            slice(g, setup.t),
+            g.life.map_or(T::zero(), |life| setup.t - life.time_mean),
+        ),
         Geometry::Rotor(g) => (slice_rotor(g, setup.t), setup.t - g.time_mean),
     };
     if sliced.marginal <= T::of(MARGINAL_MIN) {
         return None;
     }
-    let projected = project(&sliced.mean, &sliced.covariance, &setup.camera, setup.near, setup.mip)?;
+    let projected = project(
+        &sliced.mean,
+        &sliced.covariance,
+        &setup.camera,
+        setup.near,
+        setup.mip,
+    )?;
     let opacity = sigmoid(splat.opacity) * sliced.marginal * projected.compensation;
     let (centre, conic) = (&projected.centre, &projected.conic);
-    let mut numbers = centre.iter().chain(conic.iter()).chain([&projected.depth, &opacity]);
+    let mut numbers = centre
+        .iter()
+        .chain(conic.iter())
+        .chain([&projected.depth, &opacity]);
     if numbers.any(|v| !v.is_finite()) || opacity < T::of(ALPHA_MIN) {
         return None;
     }
-    let sight =
-        Sight { offset: sliced.mean - setup.camera.centre(), dt, period: setup.period, sh_terms: splat.sh_terms };
+    let sight = Sight {
+        offset: sliced.mean - setup.camera.centre(),
+        dt,
+        period: setup.period,
+        sh_terms: splat.sh_terms,
+    };
     let [r, g, b] = shade(&splat.coefficients, &sight);
     let ellipse = Ellipse {
         centre: projected.centre,
@@ -73,15 +89,27 @@ fn draw<T: Real>(row: usize, splat: &Splat<T>, setup: &Setup<T>) -> Option<(Draw
         opacity,
         channels: [r, g, b, projected.depth, T::one()],
     };
-    let drawn = Drawn { row, sliced, projected, sight };
+    let drawn = Drawn {
+        row,
+        sliced,
+        projected,
+        sight,
+    };
     Some((drawn, ellipse))
 }
 
 /// The splats in the frame, near to far.
 fn draw_all<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> (Vec<Drawn<T>>, Vec<Ellipse<T>>) {
-    let all: Vec<_> = splats.iter().enumerate().filter_map(|(row, splat)| draw(row, splat, setup)).collect();
+    let all: Vec<_> = splats
+        .iter()
+        .enumerate()
+        .filter_map(|(row, splat)| draw(row, splat, setup))
+        .collect();
     let depths: Vec<T> = all.iter().map(|(drawn, _)| drawn.projected.depth).collect();
-    depth_order(&depths).into_iter().map(|i| all[i].clone()).unzip()
+    depth_order(&depths)
+        .into_iter()
+        .map(|i| all[i].clone())
+        .unzip()
 }
 
 /// The ellipses of the splats in the frame, near to far.
@@ -93,7 +121,12 @@ pub(crate) fn ellipses<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> Vec<El
 pub fn render<T: Real, C: Cutoff>(splats: &[Splat<T>], setup: &Setup<T>) -> Rendered<T> {
     let (drawn, ellipses) = draw_all(splats, setup);
     let image = blend::<T, C>(&ellipses, setup.width, setup.height, &setup.background);
-    Rendered { image, rows: drawn.iter().map(|d| d.row).collect(), ellipses, drawn }
+    Rendered {
+        image,
+        rows: drawn.iter().map(|d| d.row).collect(),
+        ellipses,
+        drawn,
+    }
 }
 
 /// Gradient of a loss with respect to splats, camera and background, given `g`, `[height * width]`,
@@ -104,8 +137,16 @@ pub fn backward<T: Real, C: Cutoff>(
     rendered: &Rendered<T>,
     g: &[[T; CHANNELS]],
 ) -> SceneGradient<T> {
-    let BlendGradient { splats: ellipses, background } =
-        blend_vjp::<T, C>(&rendered.ellipses, setup.width, setup.height, &setup.background, g);
+    let BlendGradient {
+        splats: ellipses,
+        background,
+    } = blend_vjp::<T, C>(
+        &rendered.ellipses,
+        setup.width,
+        setup.height,
+        &setup.background,
+        g,
+    );
     let mut out = SceneGradient {
         splats: splats.iter().map(Splat::zero_like).collect(),
         touched: touched::<T, C>(splats.len(), rendered),
@@ -119,8 +160,17 @@ pub fn backward<T: Real, C: Cutoff>(
         let [r, green, b, depth, _] = d.channels;
         let shade = shade_vjp(&splat.coefficients, &drawn.sight, &[r, green, b]);
 
-        let (peak, p, rho) = (sigmoid(splat.opacity), drawn.sliced.marginal, drawn.projected.compensation);
-        let d_projected = Projected { centre: d.centre, conic: d.conic, depth, compensation: d.opacity * peak * p };
+        let (peak, p, rho) = (
+            sigmoid(splat.opacity),
+            drawn.sliced.marginal,
+            drawn.projected.compensation,
+        );
+        let d_projected = Projected {
+            centre: d.centre,
+            conic: d.conic,
+            depth,
+            compensation: d.opacity * peak * p,
+        };
         let (mean, covariance) = (&drawn.sliced.mean, &drawn.sliced.covariance);
         let d_project = project_vjp(mean, covariance, &setup.camera, setup.mip, &d_projected);
         let d_sliced = Sliced {
@@ -134,7 +184,8 @@ pub fn backward<T: Real, C: Cutoff>(
         grad.coefficients = shade.coefficients;
         out.means2d[drawn.row] = d.centre;
         out.camera.add(&d_project.camera);
-        // the camera's centre moves by -W^T tau, so the offset by +W^T tau; a turn leaves it in place
+        // the camera's centre moves by -W^T tau, so the offset by +W^T tau; a turn leaves it in
+        // place
         out.camera.tau += setup.camera.w2c.rotation * shade.offset;
     }
     out
@@ -163,12 +214,15 @@ fn touched<T: Real, C: Cutoff>(n: usize, rendered: &Rendered<T>) -> Vec<bool> {
     let mut out = vec![false; n];
     let (width, height) = (rendered.image.width, rendered.image.height);
     for (x, y) in (0..width * height).map(|i| (i % width, i / width)) {
-        walk::<T, C>(&rendered.ellipses, x, y, |c| out[rendered.rows[c.index]] = true);
+        walk::<T, C>(&rendered.ellipses, x, y, |c| {
+            out[rendered.rows[c.index]] = true
+        });
     }
     out
 }
 
-/// The score of each of `n` splats in a frame (docs/spec/optimiser.md 4); `weight` is `[height][width]`.
+/// The score of each of `n` splats in a frame (docs/spec/optimiser.md 4); `weight` is
+/// `[height][width]`.
 pub fn score_splats<T: Real>(n: usize, rendered: &Rendered<T>, weight: &[T]) -> Vec<T> {
     let marginals: Vec<T> = rendered.drawn.iter().map(|d| d.sliced.marginal).collect();
     let scores = score(&rendered.ellipses, &marginals, rendered.image.width, weight);
@@ -179,12 +233,17 @@ pub fn score_splats<T: Real>(n: usize, rendered: &Rendered<T>, weight: &[T]) -> 
     out
 }
 
-/// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (docs/spec/optimiser.md 8.4).
+/// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (docs/spec/optimiser.md
+/// 8.4).
 pub fn expose<T: Real>(pixels: &[[T; CHANNELS]], exposure: &[[T; 4]; 3]) -> Vec<[T; 3]> {
-    pixels.iter().map(|p| exposure.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3])).collect()
+    pixels
+        .iter()
+        .map(|p| exposure.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]))
+        .collect()
 }
 
-/// Gradients with respect to the colours of every pixel and the exposure, given `g` with respect to [`expose`].
+/// Gradients with respect to the colours of every pixel and the exposure, given `g` with respect to
+/// [`expose`].
 pub fn expose_vjp<T: Real>(
     pixels: &[[T; CHANNELS]],
     exposure: &[[T; 4]; 3],
@@ -198,7 +257,9 @@ pub fn expose_vjp<T: Real>(
             }
             row[3] += g;
         }
-        std::array::from_fn(|k| exposure[0][k] * g[0] + exposure[1][k] * g[1] + exposure[2][k] * g[2])
+        std::array::from_fn(|k| {
+            exposure[0][k] * g[0] + exposure[1][k] * g[1] + exposure[2][k] * g[2]
+        })
     });
     (d_pixels.collect(), d_exposure)
 }

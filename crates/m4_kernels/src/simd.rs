@@ -12,8 +12,8 @@ pub(crate) fn all<S: Simd>(s: S, value: f32) -> f32x16<S> {
     f32x16::splat(s, value)
 }
 
-/// `each!(3, k => f(k))` is `[f(0), f(1), f(2)]`. As `std::array::from_fn`, but certain to be compiled
-/// for the vector instructions of the function it stands in: a closure need not be.
+/// `each!(3, k => f(k))` is `[f(0), f(1), f(2)]`. As `std::array::from_fn`, but certain to be
+/// compiled for the vector instructions of the function it stands in: a closure need not be.
 macro_rules! each {
     (@at $i:ident, $value:expr; $($k:literal)*) => {
         [$({
@@ -58,8 +58,9 @@ pub(crate) fn load<S: Simd>(s: S, column: &[f32], at: usize, fill: f32) -> f32x1
 /// Rows that are fetched together, see [`touch`].
 pub(crate) const FETCH_ROWS: usize = 8 * LANES;
 
-/// Reads one value of each cache line of `column[at..at + FETCH_ROWS]`. More columns than the processor follows on its
-/// own come into the cache much faster in such bunches of independent reads than line by line when they are needed.
+/// Reads one value of each cache line of `column[at..at + FETCH_ROWS]`. More columns than the
+/// processor follows on its own come into the cache much faster in such bunches of independent
+/// reads than line by line when they are needed.
 #[inline(always)]
 pub(crate) fn touch(column: &[f32], at: usize) {
     let rows = &column[at.min(column.len())..column.len().min(at + FETCH_ROWS)];
@@ -275,11 +276,22 @@ mod tests {
                     1.0 / (1.0 + (-d).exp()),
                     (-d.abs()).exp_m1(),
                 ];
-                let scale =
-                    [want[0], 1.0 + want[1].abs(), 1.0 + d.abs(), 1.0 + d.abs(), want[4], want[5].abs().max(1e-30)];
+                let scale = [
+                    want[0],
+                    1.0 + want[1].abs(),
+                    1.0 + d.abs(),
+                    1.0 + d.abs(),
+                    want[4],
+                    want[5].abs().max(1e-30),
+                ];
                 for i in 0..6 {
                     let error = (f64::from(got[i]) - want[i]).abs() / scale[i];
-                    assert!(error < 2e-6, "{level}: function {i} of {x}: {} where {} was expected", got[i], want[i]);
+                    assert!(
+                        error < 2e-6,
+                        "{level}: function {i} of {x}: {} where {} was expected",
+                        got[i],
+                        want[i]
+                    );
                 }
             }
         }
@@ -288,7 +300,10 @@ mod tests {
     #[test]
     fn a_level_that_does_not_exist_is_an_error_that_names_those_that_do() {
         let error = SimdLevel::named("avx1024").unwrap_err();
-        assert!(error.to_string().contains(SimdLevel::available()[0].name()), "{error}");
+        assert!(
+            error.to_string().contains(SimdLevel::available()[0].name()),
+            "{error}"
+        );
         for level in SimdLevel::available() {
             assert_eq!(SimdLevel::named(level.name()), Ok(level));
         }

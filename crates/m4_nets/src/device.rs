@@ -9,7 +9,8 @@ pub fn cpu() -> Device {
     Device::flex()
 }
 
-/// A GPU by Vulkan, Metal or DX12, as the runtime calls it. One that was not started yet is at its first use.
+/// A GPU by Vulkan, Metal or DX12, as the runtime calls it. One that was not started yet is at its
+/// first use.
 #[cfg(feature = "gpu")]
 #[must_use]
 pub fn gpu(device: cubecl::device::WgpuDevice) -> Device {
@@ -32,8 +33,8 @@ pub struct Compute {
 }
 
 impl Compute {
-    /// In 16 bits where the device has them, as the published programs do; the processor stays at 32. LPIPS and MobileSAM
-    /// stay at 32 bits everywhere.
+    /// In 16 bits where the device has them, as the published programs do; the processor stays at
+    /// 32. LPIPS and MobileSAM stay at 32 bits everywhere.
     #[must_use]
     pub fn half(device: Device) -> Self {
         let half = device != cpu() && device.supports_dtype(FloatDType::F16);
@@ -54,7 +55,10 @@ impl Compute {
 
 impl From<Device> for Compute {
     fn from(device: Device) -> Self {
-        Self { device, half: false }
+        Self {
+            device,
+            half: false,
+        }
     }
 }
 

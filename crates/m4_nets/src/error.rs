@@ -54,5 +54,7 @@ pub(crate) fn refuse<T>(message: impl Into<String>) -> Result<T, NetError> {
 
 /// The numbers of a tensor, in 32 bits.
 pub(crate) fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, NetError> {
-    x.cast(DType::F32).try_into_vec_as().map_err(|error| NetError::Device(error.to_string()))
+    x.cast(DType::F32)
+        .try_into_vec_as()
+        .map_err(|error| NetError::Device(error.to_string()))
 }

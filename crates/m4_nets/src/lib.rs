@@ -1,14 +1,16 @@
-//! Pretrained networks: their layers written in [Burn](https://burn.dev), their weights read from the published checkpoints.
+//! Pretrained networks: their layers written in [Burn](https://burn.dev), their weights read from
+//! the published checkpoints.
 //!
 //! ```text
 //! checkpoint --load--> network;  frames --network--> flow, masks, perceptual similarity
 //! ```
 //!
-//! One folder a network. Fields carry the names of the checkpoint's keys, so that a loader is a list of what is named
-//! otherwise; a key too many, too few or of another shape is an error. A checkpoint is data: nothing in it is executed.
+//! One folder a network. Fields carry the names of the checkpoint's keys, so that a loader is a
+//! list of what is named otherwise; a key too many, too few or of another shape is an error. A
+//! checkpoint is data: nothing in it is executed.
 //!
-//! Tensors live on a [`Device`] that is chosen when a network is loaded; [`cpu`] is the one that every build has. On it the
-//! same input gives the same bits for any number of threads.
+//! Tensors live on a [`Device`] that is chosen when a network is loaded; [`cpu`] is the one that
+//! every build has. On it the same input gives the same bits for any number of threads.
 //!
 //! No weights are part of the repository, and this crate fetches none: `minute4d weights` does.
 

@@ -1,4 +1,5 @@
-//! Encoders of residual blocks at ever smaller sizes: those of RAFT and DROID-SLAM; CoTracker3's has the same blocks.
+//! Encoders of residual blocks at ever smaller sizes: those of RAFT and DROID-SLAM; CoTracker3's
+//! has the same blocks.
 
 use crate::ops::{Statistics, conv, convolve, instance_norm, with_weights};
 use burn_core as burn;
@@ -28,7 +29,8 @@ impl Norm {
         match (self, statistics) {
             (Self::Instance, _) => instance_norm(convolve([x], conv)),
             (Self::Batch, Some(statistics)) => {
-                let (kernel, bias) = statistics.after(conv.weight.val(), conv.bias.as_ref().map(|b| b.val()));
+                let (kernel, bias) =
+                    statistics.after(conv.weight.val(), conv.bias.as_ref().map(|b| b.val()));
                 convolve([x], &with_weights(conv.clone(), kernel, Some(bias)))
             }
             _ => convolve([x], conv),
@@ -45,8 +47,8 @@ pub struct Residual {
     downsample: Option<Downsample>,
 }
 
-/// The shortcut where the size changes. Named `downsample.0` and `downsample.1` in checkpoints; RAFT's holds the latter again as
-/// `norm3`.
+/// The shortcut where the size changes. Named `downsample.0` and `downsample.1` in checkpoints;
+/// RAFT's holds the latter again as `norm3`.
 #[derive(Module, Debug)]
 struct Downsample {
     conv: Conv2d,
@@ -108,10 +110,16 @@ impl Encoder {
         self.conv1.weight.dtype()
     }
 
-    /// Of images `[n, 3, h, w]`: features `[n, to, h / 8, w / 8]`. `norm` is the one that it was made with.
+    /// Of images `[n, 3, h, w]`: features `[n, to, h / 8, w / 8]`. `norm` is the one that it was
+    /// made with.
     pub fn forward(&self, x: Tensor<4>, norm: Norm) -> Tensor<4> {
         let x = relu(norm.after(&self.conv1, self.norm1.as_ref(), x));
-        let blocks = [&self.layer1, &self.layer2, &self.layer3].into_iter().flatten();
-        convolve([blocks.fold(x, |x, block| block.forward(x, norm))], &self.conv2)
+        let blocks = [&self.layer1, &self.layer2, &self.layer3]
+            .into_iter()
+            .flatten();
+        convolve(
+            [blocks.fold(x, |x, block| block.forward(x, norm))],
+            &self.conv2,
+        )
     }
 }

@@ -1,4 +1,5 @@
-//! Depth-Anything V1 as it is called: images of any size, threads. Its layers are compared with the authors' module in the crate.
+//! Depth-Anything V1 as it is called: images of any size, threads. Its layers are compared with the
+//! authors' module in the crate.
 
 use crate::common::{loaded, test_image};
 use m4_nets::{DepthAnything, cpu};
@@ -9,7 +10,9 @@ const KEYS: &str = include_str!("../../../fixtures/depth_anything_v1/vits.keys.t
 const LAST: &str = "depth_head.scratch.output_conv2.2.bias";
 
 fn network() -> DepthAnything {
-    loaded(&FormulaWeights::of_keys(KEYS).with(LAST, &[2.5]), |path| DepthAnything::load(path, cpu()))
+    loaded(&FormulaWeights::of_keys(KEYS).with(LAST, &[2.5]), |path| {
+        DepthAnything::load(path, cpu())
+    })
 }
 
 #[test]
@@ -20,9 +23,19 @@ fn disparity_has_the_size_of_the_image_and_is_independent_of_threads() {
     assert_eq!(one.size(), (301, 43));
     assert!(one.data().iter().all(|&d| d >= 0.0 && d.is_finite()));
     let positive = one.data().iter().filter(|&&d| d > 0.0).count();
-    assert!(positive > one.data().len() / 2, "{positive} of {} above 0", one.data().len());
-    let (least, most) = one.data().iter().fold((f32::MAX, 0.0f32), |(a, b), &d| (a.min(d), b.max(d)));
-    assert!(most > 1.2 * least, "hardly anything but a constant: {least} to {most}");
+    assert!(
+        positive > one.data().len() / 2,
+        "{positive} of {} above 0",
+        one.data().len()
+    );
+    let (least, most) = one
+        .data()
+        .iter()
+        .fold((f32::MAX, 0.0f32), |(a, b), &d| (a.min(d), b.max(d)));
+    assert!(
+        most > 1.2 * least,
+        "hardly anything but a constant: {least} to {most}"
+    );
 }
 
 #[test]

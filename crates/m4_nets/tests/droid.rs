@@ -26,7 +26,11 @@ fn test_image(w: usize, h: usize, moved: f32) -> RgbImage {
 
 /// A memory whose frame 0 has the first size and all others the second.
 fn memory_of(net: DroidNet, first: (usize, usize), later: (usize, usize)) -> DroidMemory<'static> {
-    let options = MemoryOptions { budget_bytes: 1 << 30, storage: Storage::F16, scratch: std::env::temp_dir() };
+    let options = MemoryOptions {
+        budget_bytes: 1 << 30,
+        storage: Storage::F16,
+        scratch: std::env::temp_dir(),
+    };
     let images = move |frame: usize| {
         let (w, h) = if frame == 0 { first } else { later };
         Ok(test_image(w, h, frame as f32))
@@ -42,8 +46,17 @@ fn memory(net: DroidNet) -> DroidMemory<'static> {
 #[test]
 fn third_rows_change_nothing() {
     let folder = TempDir::new().unwrap();
-    let motion = |keys: &str| memory(load(folder.path(), keys).unwrap()).motion_px(0, 4).unwrap();
-    let three = ["weight.2.weight 2", "weight.2.bias 2", "delta.2.weight 2", "delta.2.bias 2"];
+    let motion = |keys: &str| {
+        memory(load(folder.path(), keys).unwrap())
+            .motion_px(0, 4)
+            .unwrap()
+    };
+    let three = [
+        "weight.2.weight 2",
+        "weight.2.bias 2",
+        "delta.2.weight 2",
+        "delta.2.bias 2",
+    ];
     let three = three.iter().fold(KEYS.to_owned(), |keys, line| {
         let with = format!("{}3", line.strip_suffix('2').unwrap());
         keys.replace(&format!("update.{line}"), &format!("update.{with}"))
@@ -59,14 +72,20 @@ fn images_of_wrong_size_are_refused() {
     let folder = TempDir::new().unwrap();
     let error = |first, later| {
         let net = load(folder.path(), KEYS).unwrap();
-        memory_of(net, first, later).motion_px(0, 1).unwrap_err().to_string()
+        memory_of(net, first, later)
+            .motion_px(0, 1)
+            .unwrap_err()
+            .to_string()
     };
     for (w, h) in [(0, 0), (120, 200), (200, 120), (132, 128), (128, 129)] {
         let error = error((w, h), (136, 128));
         assert!(error.contains(&format!("this has {w} x {h}")), "{error}");
     }
     let error = error((136, 128), (128, 128));
-    assert!(error.contains("frame 1 has 128 x 128 px where the frames before have 136 x 128"), "{error}");
+    assert!(
+        error.contains("frame 1 has 128 x 128 px where the frames before have 136 x 128"),
+        "{error}"
+    );
 }
 
 /// The published file itself, where it is.

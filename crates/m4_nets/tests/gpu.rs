@@ -1,4 +1,5 @@
-//! The networks on a GPU, or on a software Vulkan driver (lavapipe), against the fixtures and against the processor.
+//! The networks on a GPU, or on a software Vulkan driver (lavapipe), against the fixtures and
+//! against the processor.
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -8,8 +9,8 @@ use m4_core::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoPredictor};
 use m4_nets::{
-    ClipError, Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam, PointPrompt,
-    PointQuery, PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
+    ClipError, Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam,
+    PointPrompt, PointQuery, PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
 };
 use m4_testkit::{Fixture, FormulaWeights, Need, assert_close, skip};
 use std::collections::BTreeMap;
@@ -67,7 +68,8 @@ fn half(gpu: Device) -> Option<Compute> {
 fn pattern(w: usize, h: usize, moved: f32) -> RgbImage {
     Plane::from_fn(w, h, |x, y| {
         let (x, y) = (x as f32 + moved, y as f32);
-        let wave = |a: f32, b: f32| (127.0 + 60.0 * (a * x).sin() + 60.0 * (b * y + 0.03 * x).cos()) as u8;
+        let wave =
+            |a: f32, b: f32| (127.0 + 60.0 * (a * x).sin() + 60.0 * (b * y + 0.03 * x).cos()) as u8;
         [wave(0.21, 0.13), wave(0.09, 0.31), wave(0.37, 0.05)]
     })
 }
@@ -89,8 +91,16 @@ fn raft_agrees_with_the_module() {
         let net = Raft::load(&path, on).unwrap();
         let [a, b] = ["image1", "image2"].map(|name| net.encode(&file.image(name)).unwrap());
         let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
-        for (name, flow, limit) in [("flow_low_1", &there.low, low), ("flow_up_1", &there.flow, full)] {
-            assert_close(name, &[&flow.u[..], &flow.v].concat(), &file.floats(name).0, limit);
+        for (name, flow, limit) in [
+            ("flow_low_1", &there.low, low),
+            ("flow_up_1", &there.flow, full),
+        ] {
+            assert_close(
+                name,
+                &[&flow.u[..], &flow.v].concat(),
+                &file.floats(name).0,
+                limit,
+            );
         }
     };
     check(gpu.clone().into(), [1e-4; 2]);
@@ -102,28 +112,51 @@ fn raft_agrees_with_the_module() {
 /// What an update says, on a device.
 fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>) {
     let net = Arc::new(DroidNet::load(path, on).unwrap());
-    let options = MemoryOptions { budget_bytes: 1 << 28, storage: Storage::F32, scratch: std::env::temp_dir() };
-    let mut memory = DroidMemory::new(net, options, Box::new(|frame| Ok(pattern(128, 128, 3.0 * frame as f32))));
+    let options = MemoryOptions {
+        budget_bytes: 1 << 28,
+        storage: Storage::F32,
+        scratch: std::env::temp_dir(),
+    };
+    let mut memory = DroidMemory::new(
+        net,
+        options,
+        Box::new(|frame| Ok(pattern(128, 128, 3.0 * frame as f32))),
+    );
     let motion = memory.motion_px(0, 1).unwrap();
     let n = 16 * 16;
-    let at: [Vec<f32>; 2] =
-        [(0..n).map(|i| (i % 16) as f32 + 0.3).collect(), (0..n).map(|i| (i / 16) as f32 - 0.2).collect()];
+    let at: [Vec<f32>; 2] = [
+        (0..n).map(|i| (i % 16) as f32 + 0.3).collect(),
+        (0..n).map(|i| (i / 16) as f32 - 0.2).collect(),
+    ];
     let mut out = Vec::new();
     for id in 0..2 {
         memory.enter(id, 0, 1 + id as usize);
     }
     for _ in 0..2 {
         let mut targets = [at.clone(), at.clone()];
-        let mut weights: [[Vec<f32>; 2]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| vec![0.0; n]));
+        let mut weights: [[Vec<f32>; 2]; 2] =
+            std::array::from_fn(|_| std::array::from_fn(|_| vec![0.0; n]));
         let mut still = [vec![0.0; n], vec![0.0; n]];
         let mut edges: Vec<EdgeUpdate<'_>> = Vec::new();
         for (id, ((target_px, weight), static_confidence)) in
             (0..).zip(targets.iter_mut().zip(&mut weights).zip(&mut still))
         {
-            edges.push(EdgeUpdate { id, projected_px: [&at[0], &at[1]], target_px, weight, static_confidence });
+            edges.push(EdgeUpdate {
+                id,
+                projected_px: [&at[0], &at[1]],
+                target_px,
+                weight,
+                static_confidence,
+            });
         }
         let eta = memory.revise_source(0, &mut edges).unwrap();
-        out = [targets.concat(), weights.concat(), still.to_vec(), vec![eta]].concat();
+        out = [
+            targets.concat(),
+            weights.concat(),
+            still.to_vec(),
+            vec![eta],
+        ]
+        .concat();
     }
     (motion, out)
 }
@@ -133,9 +166,16 @@ fn tracking_network_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!("../../../fixtures/droid/keys.txt")));
+    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!(
+        "../../../fixtures/droid/keys.txt"
+    )));
     let (there, here) = (droid(&path, &gpu), droid(&path, cpu()));
-    assert!((there.0 / here.0 - 1.0).abs() < 1e-4, "{} {}", there.0, here.0);
+    assert!(
+        (there.0 / here.0 - 1.0).abs() < 1e-4,
+        "{} {}",
+        there.0,
+        here.0
+    );
     for (k, (there, here)) in there.1.iter().zip(&here.1).enumerate() {
         assert_close(&format!("plane {k}"), there, here, 1e-4);
     }
@@ -158,9 +198,15 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
     // the longer side becomes 768 pixels: a strip has fewer of them
     let image = pattern(56, 4, 0.0);
     let keys = include_str!("../../../fixtures/depth_anything_v1/vits.keys.txt");
-    let weights = FormulaWeights::of_keys(keys).with("depth_head.scratch.output_conv2.2.bias", &[2.5]);
+    let weights =
+        FormulaWeights::of_keys(keys).with("depth_head.scratch.output_conv2.2.bias", &[2.5]);
     weights.write(&path);
-    let disparity = |on: &Device| DepthAnything::load(&path, on).unwrap().disparity(&image).unwrap();
+    let disparity = |on: &Device| {
+        DepthAnything::load(&path, on)
+            .unwrap()
+            .disparity(&image)
+            .unwrap()
+    };
     let (there, here) = (disparity(&gpu), disparity(&cpu()));
     assert_close("Depth-Anything", there.data(), here.data(), 1e-4);
 
@@ -170,16 +216,43 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
         .with("mask_head.output_blocks.4.bias", &[0.3])
         .scaled("points_head.output_blocks.4.weight", 0.3);
     weights.write(&path);
-    let options = MoGeOptions { tokens: Some(24), known_focal_px: Some(70.0) };
-    let map = |on: &Device| MoGe::load(&path, on).unwrap().infer(&image, &options).unwrap();
+    let options = MoGeOptions {
+        tokens: Some(24),
+        known_focal_px: Some(70.0),
+    };
+    let map = |on: &Device| {
+        MoGe::load(&path, on)
+            .unwrap()
+            .infer(&image, &options)
+            .unwrap()
+    };
     let (there, here) = (map(&gpu), map(&cpu()));
-    let differ = there.mask.data().iter().zip(here.mask.data()).filter(|(a, b)| a != b).count();
-    assert!(differ * 500 < there.mask.data().len(), "{differ} pixels of the mask");
+    let differ = there
+        .mask
+        .data()
+        .iter()
+        .zip(here.mask.data())
+        .filter(|(a, b)| a != b)
+        .count();
+    assert!(
+        differ * 500 < there.mask.data().len(),
+        "{differ} pixels of the mask"
+    );
     let known = |z: &Plane<f32>| -> Vec<f32> {
         let both = there.mask.data().iter().zip(here.mask.data());
-        z.data().iter().zip(both).filter(|(_, (a, b))| **a && **b).map(|(z, _)| *z).collect()
+        z.data()
+            .iter()
+            .zip(both)
+            .filter(|(_, (a, b))| **a && **b)
+            .map(|(z, _)| *z)
+            .collect()
     };
-    assert_close("MoGe-2", &known(&there.depth_m), &known(&here.depth_m), 1e-3);
+    assert_close(
+        "MoGe-2",
+        &known(&there.depth_m),
+        &known(&here.depth_m),
+        1e-3,
+    );
 }
 
 #[test]
@@ -187,10 +260,16 @@ fn unidepth_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let (_folder, path) =
-        checkpoint(&FormulaWeights::of_keys(include_str!("../../../fixtures/unidepth_v2/formula.keys.txt")));
+    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!(
+        "../../../fixtures/unidepth_v2/formula.keys.txt"
+    )));
     let image = pattern(84, 56, 0.0);
-    let map = |on: &Device| UniDepth::load(&path, on).unwrap().depth_by_patches(&image, 48).unwrap();
+    let map = |on: &Device| {
+        UniDepth::load(&path, on)
+            .unwrap()
+            .depth_by_patches(&image, 48)
+            .unwrap()
+    };
     let (there, here) = (map(&gpu), map(&cpu()));
     assert_close("UniDepth", there.depth_m.data(), here.depth_m.data(), 1e-4);
     assert!((there.camera.fx / here.camera.fx - 1.0).abs() < 1e-4);
@@ -201,10 +280,18 @@ fn mobile_sam_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
-    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!("../../../fixtures/mobile_sam/keys.txt")));
+    let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!(
+        "../../../fixtures/mobile_sam/keys.txt"
+    )));
     let image = pattern(96, 64, 0.0);
-    let prompt =
-        Prompt { points: vec![PointPrompt { at_px: [40.0, 30.0], on_object: true }], box_px: None, mask_logits: None };
+    let prompt = Prompt {
+        points: vec![PointPrompt {
+            at_px: [40.0, 30.0],
+            on_object: true,
+        }],
+        box_px: None,
+        mask_logits: None,
+    };
     let logits = |on: &Device| {
         let net = MobileSam::load(&path, on).unwrap();
         let embedding = net.encode(&image).unwrap();
@@ -219,15 +306,35 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> Vec<Vec<f32>> {
     let net = Arc::new(Sam2::load(path, on).unwrap().with_side(64).unwrap());
     let point = |at_px: [f32; 2], on_object| PointPrompt { at_px, on_object };
     let points = vec![point([40.0, 30.0], true), point([20.0, 70.0], false)];
-    let clip = Clip { frames: 2, width: 128, height: 96 };
+    let clip = Clip {
+        frames: 2,
+        width: 128,
+        height: 96,
+    };
     let images = Box::new(|i: usize| Ok(pattern(128, 96, 2.0 * i as f32)));
     let mut predictor = VideoPredictor::new(net, clip, images, 0).unwrap();
-    predictor.show(0, 1, &Prompt { points, ..Prompt::default() }).unwrap();
+    predictor
+        .show(
+            0,
+            1,
+            &Prompt {
+                points,
+                ..Prompt::default()
+            },
+        )
+        .unwrap();
     let mut frames = Vec::new();
     let keep = |_, masks: &BTreeMap<u32, ObjectMask>| {
-        frames.push(masks.values().flat_map(|mask| mask.logits.data().to_vec()).collect());
+        frames.push(
+            masks
+                .values()
+                .flat_map(|mask| mask.logits.data().to_vec())
+                .collect(),
+        );
     };
-    predictor.follow(0..=1, Direction::Forward, &Silent, keep).unwrap();
+    predictor
+        .follow(0..=1, Direction::Forward, &Silent, keep)
+        .unwrap();
     frames
 }
 
@@ -265,12 +372,17 @@ impl PosedClip for Wall {
     }
 
     fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
-        let z = |x: usize, y: usize| 3.0 + 0.3 * (0.05 * x as f32 + 0.1 * frame as f32).sin() + 0.004 * y as f32;
+        let z = |x: usize, y: usize| {
+            3.0 + 0.3 * (0.05 * x as f32 + 0.1 * frame as f32).sin() + 0.004 * y as f32
+        };
         Ok(Plane::from_fn(256, 128, z))
     }
 
     fn camera(&self, _frame: usize) -> Result<Camera, ClipError> {
-        Ok(Camera { intrinsics: Intrinsics::centred(256, 128, 240.0), c2w: m4_core::Se3::identity() })
+        Ok(Camera {
+            intrinsics: Intrinsics::centred(256, 128, 240.0),
+            c2w: m4_core::Se3::identity(),
+        })
     }
 }
 
@@ -282,26 +394,42 @@ fn points_are_followed_as_on_the_processor() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("weights.safetensors");
     let config = include_str!("../../../fixtures/tapip3d/config.json");
-    // a random network makes much of the highest frequencies of offsets: they are damped, as in its fixture
+    // a random network makes much of the highest frequencies of offsets: they are damped, as in its
+    // fixture
     let damped = |s: usize| 0.5f32.powi(s.saturating_sub(4) as i32);
     let mut weights = FormulaWeights::of_keys(include_str!("../../../fixtures/tapip3d/keys.txt"))
         .scaled("point_updater.flow_head.weight", 0.005)
         .scaled_by("point_updater.input_transform.weight", |i| {
-            (i % 711).checked_sub(513 + 6).map_or(1.0, |j| damped(j % 96 / 6))
+            (i % 711)
+                .checked_sub(513 + 6)
+                .map_or(1.0, |j| damped(j % 96 / 6))
         });
     for level in 0..4 {
         let name = format!("corr_processor.posenc_mlps.{level}.0.weight");
-        weights = weights.scaled_by(&name, |j| j.checked_sub(3).map_or(1.0, |j| damped(j % 48 / 3)));
+        weights = weights.scaled_by(&name, |j| {
+            j.checked_sub(3).map_or(1.0, |j| damped(j % 48 / 3))
+        });
     }
     weights.write_with(Some(("config", config)), &path);
-    let queries: Vec<PointQuery> =
-        (0..3).map(|i| PointQuery { frame: i, world: [0.5 * i as f64 - 0.6, 0.1 * i as f64 - 0.2, 3.1] }).collect();
-    let options = Tapip3dOptions { iterations: 1, support_grid: 1, ..Tapip3dOptions::at((256, 128)) };
+    let queries: Vec<PointQuery> = (0..3)
+        .map(|i| PointQuery {
+            frame: i,
+            world: [0.5 * i as f64 - 0.6, 0.1 * i as f64 - 0.2, 3.1],
+        })
+        .collect();
+    let options = Tapip3dOptions {
+        iterations: 1,
+        support_grid: 1,
+        ..Tapip3dOptions::at((256, 128))
+    };
     let steps = |on: Compute| -> [Vec<f32>; 2] {
         let net = Tapip3d::load(&path, on).unwrap();
         let tracks = net.track(&Wall, &queries, &options, &Silent).unwrap();
         let at = tracks.world.chunks_exact(3).zip(&queries);
-        let steps = at.flat_map(|(at, q)| at.iter().map(move |p| [0, 1, 2].map(|i| p[i] - q.world[i] as f32)));
+        let steps = at.flat_map(|(at, q)| {
+            at.iter()
+                .map(move |p| [0, 1, 2].map(|i| p[i] - q.world[i] as f32))
+        });
         [steps.flatten().collect(), tracks.visibility]
     };
     let here = steps(cpu().into());

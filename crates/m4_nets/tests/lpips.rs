@@ -1,4 +1,5 @@
-//! LPIPS against the networks stated again in PyTorch: with synthetic weights always, with the published ones where they are.
+//! LPIPS against the networks stated again in PyTorch: with synthetic weights always, with the
+//! published ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{png, real_weights};
@@ -14,7 +15,8 @@ const NETS: [(LpipsNet, &str); 2] = [(LpipsNet::Alex, "alex"), (LpipsNet::Vgg, "
 /// Rows and columns of the maps that the fixture of the published weights keeps.
 const STEP: usize = 4;
 
-/// An array of a synthetic checkpoint: its name, its sides (of a kernel `[h][w][in][out]`), its numbers row by row.
+/// An array of a synthetic checkpoint: its name, its sides (of a kernel `[h][w][in][out]`), its
+/// numbers row by row.
 #[derive(Clone)]
 struct Array {
     name: String,
@@ -26,21 +28,35 @@ struct Array {
 fn arrays_by_formula(net: LpipsNet) -> Vec<Array> {
     // side of the kernel, channels; whether the layer is compared
     let (module, layers): (_, Vec<(usize, usize, bool)>) = match net {
-        LpipsNet::Alex => {
-            ("AlexNet_0", vec![(11, 64, true), (5, 192, true), (3, 384, true), (3, 256, true), (3, 256, true)])
-        }
+        LpipsNet::Alex => (
+            "AlexNet_0",
+            vec![
+                (11, 64, true),
+                (5, 192, true),
+                (3, 384, true),
+                (3, 256, true),
+                (3, 256, true),
+            ],
+        ),
         LpipsNet::Vgg => {
-            let widths = [64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512];
+            let widths = [
+                64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512,
+            ];
             let compared = [1, 3, 6, 9, 12];
             let layer = |(i, width)| (3, width, compared.contains(&i));
-            ("VGG16_0", widths.into_iter().enumerate().map(layer).collect())
+            (
+                "VGG16_0",
+                widths.into_iter().enumerate().map(layer).collect(),
+            )
         }
     };
     let (mut arrays, mut lins, mut from) = (Vec::new(), Vec::new(), 3);
     for (i, (side, to, compared)) in layers.into_iter().enumerate() {
         let (name, fan_in) = (format!("{module}/Conv_{i}/kernel"), from * side * side);
         let scale = (6.0 / fan_in as f64).sqrt();
-        let first: Vec<f32> = formula(&name, to * fan_in).map(|u| (u * scale) as f32).collect();
+        let first: Vec<f32> = formula(&name, to * fan_in)
+            .map(|u| (u * scale) as f32)
+            .collect();
         let taps = side * side;
         let mut values = Vec::with_capacity(first.len());
         for tap in 0..taps {
@@ -49,16 +65,28 @@ fn arrays_by_formula(net: LpipsNet) -> Vec<Array> {
             }
         }
         let sides = vec![side, side, from, to];
-        arrays.push(Array { name, sides, values });
+        arrays.push(Array {
+            name,
+            sides,
+            values,
+        });
         let name = format!("{module}/Conv_{i}/bias");
         let values = formula(&name, to).map(|u| (0.02 * u) as f32).collect();
         let sides = vec![to];
-        arrays.push(Array { name, sides, values });
+        arrays.push(Array {
+            name,
+            sides,
+            values,
+        });
         if compared {
             let name = format!("NetLinLayer_{}/Conv_0/kernel", lins.len());
             let values = formula(&name, to).map(|u| u.abs() as f32).collect();
             let sides = vec![1, 1, to, 1];
-            lins.push(Array { name, sides, values });
+            lins.push(Array {
+                name,
+                sides,
+                values,
+            });
         }
         from = to;
     }
@@ -66,7 +94,8 @@ fn arrays_by_formula(net: LpipsNet) -> Vec<Array> {
     arrays
 }
 
-/// Writes `arrays`, whose names have up to three parts, as Python pickles nested dictionaries of numpy's arrays.
+/// Writes `arrays`, whose names have up to three parts, as Python pickles nested dictionaries of
+/// numpy's arrays.
 fn write(arrays: &[Array], path: &Path) {
     let mut out = b"\x80\x03}".to_vec();
     let text = |out: &mut Vec<u8>, text: &str| {
@@ -87,7 +116,9 @@ fn write(arrays: &[Array], path: &Path) {
             open.push(folder);
         }
         text(&mut out, last);
-        out.extend(b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\0\x85C\x01b\x87R(K\x01(");
+        out.extend(
+            b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\0\x85C\x01b\x87R(K\x01(",
+        );
         for &side in &array.sides {
             out.push(b'M');
             out.extend((side as u16).to_le_bytes());
@@ -131,30 +162,55 @@ fn case() -> Case {
     let [image, reference] = ["image", "reference"].map(|name| LpipsImage::from(&file.image(name)));
     let (w, h) = image.size();
     let mask = Mask::from_vec(w, h, file.bytes("mask")).unwrap();
-    Case { file, image, reference, mask }
+    Case {
+        file,
+        image,
+        reference,
+        mask,
+    }
 }
 
 #[expect(clippy::print_stdout, reason = "figures for docs/networks.md")]
 fn close(what: &str, got: f64, want: f64, limit: f64) {
     println!("{what}: {got:.7} where {want:.7} is wanted");
     assert!(want > 0.05, "{what}: {want} says little");
-    assert!((got - want).abs() < limit, "{what}: {got} where {want} is wanted");
+    assert!(
+        (got - want).abs() < limit,
+        "{what}: {got} where {want} is wanted"
+    );
 }
 
 #[expect(clippy::print_stdout, reason = "figures for docs/networks.md")]
 fn close_map(what: &str, got: &Plane<f32>, step: usize, want: &[f32], limit: f32) {
     let rows = (0..got.height()).step_by(step).map(|y| got.row(y));
-    let got: Vec<f32> = rows.flat_map(|row| row.iter().copied().step_by(step)).collect();
+    let got: Vec<f32> = rows
+        .flat_map(|row| row.iter().copied().step_by(step))
+        .collect();
     assert_eq!(got.len(), want.len(), "{what}");
-    let worst = got.iter().zip(want).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-    let ends = |values: &[f32]| values.iter().fold((f32::MAX, 0f32), |(a, b), &v| (a.min(v), b.max(v)));
+    let worst = got
+        .iter()
+        .zip(want)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f32::max);
+    let ends = |values: &[f32]| {
+        values
+            .iter()
+            .fold((f32::MAX, 0f32), |(a, b), &v| (a.min(v), b.max(v)))
+    };
     let (least, most) = ends(want);
     println!("{what}: worst {worst:.2e} of {least:.3} to {most:.3}");
-    assert!(most > 1.5 * least && most > 0.1, "{what} hardly differs from a constant");
-    assert!(worst < limit && got.iter().all(|v| v.is_finite()), "{what}: {worst}");
+    assert!(
+        most > 1.5 * least && most > 0.1,
+        "{what} hardly differs from a constant"
+    );
+    assert!(
+        worst < limit && got.iter().all(|v| v.is_finite()),
+        "{what}: {worst}"
+    );
 }
 
-/// LPIPS stated anew in `PyTorch` (`oracles/lpips.py`), which `oracles/check_programs.py` compares with the authors' package.
+/// LPIPS stated anew in `PyTorch` (`oracles/lpips.py`), which `oracles/check_programs.py` compares
+/// with the authors' package.
 #[test]
 fn agrees_with_lpips_restated_in_pytorch_by_formula() {
     let case = case();
@@ -162,11 +218,21 @@ fn agrees_with_lpips_restated_in_pytorch_by_formula() {
         let lpips = network(net);
         let want = |what: &str| case.file.doubles(&format!("{name}/{what}"))[0];
         let score = lpips.compare(&case.image, &case.reference).unwrap();
-        close(&format!("{name} distance"), score.distance, want("distance"), 2e-6);
+        close(
+            &format!("{name} distance"),
+            score.distance,
+            want("distance"),
+            2e-6,
+        );
         let map = case.file.floats(&format!("{name}/map")).0;
         close_map(&format!("{name} map"), &score.map, 1, &map, 2e-5);
         let inside = lpips.compare_inside(&case.image, &case.reference, &case.mask);
-        close(&format!("{name} masked"), inside.unwrap().unwrap(), want("masked"), 2e-6);
+        close(
+            &format!("{name} masked"),
+            inside.unwrap().unwrap(),
+            want("masked"),
+            2e-6,
+        );
         let all = score.mean_inside(&case.mask.map(|_| 1)).unwrap().unwrap();
         let mean = map.iter().map(|&v| f64::from(v)).sum::<f64>() / map.len() as f64;
         close(&format!("{name} mean of the map"), all, mean, 2e-6);
@@ -178,14 +244,18 @@ fn agrees_with_lpips_restated_in_pytorch_by_formula() {
     }
 }
 
-/// The distances that the LPIPS project prints for its own images, and the maps of the same weights in PyTorch.
+/// The distances that the LPIPS project prints for its own images, and the maps of the same weights
+/// in PyTorch.
 #[test]
 fn agrees_with_the_published_distances() {
     let file = Fixture::open("lpips/published.safetensors");
     let read = |name: &str| LpipsImage::from(&png(&format!("lpips/ex_{name}.png")));
     let reference = read("ref");
     let case = case();
-    let published = [("lpips-alex", "alexnet.ckpt", [0.7219, 0.1376]), ("lpips-vgg", "vgg16.ckpt", [0.5686, 0.4217])];
+    let published = [
+        ("lpips-alex", "alexnet.ckpt", [0.7219, 0.1376]),
+        ("lpips-vgg", "vgg16.ckpt", [0.5686, 0.4217]),
+    ];
     for ((net, name), (entry, weights, distances)) in NETS.into_iter().zip(published) {
         let Some(path) = real_weights(entry, weights) else {
             continue;
@@ -195,7 +265,12 @@ fn agrees_with_the_published_distances() {
             let what = format!("{name}/{other}");
             let score = lpips.compare(&read(other), &reference).unwrap();
             close(&what, score.distance, printed, 1e-3);
-            close(&what, score.distance, file.doubles(&format!("{what}/distance"))[0], 5e-6);
+            close(
+                &what,
+                score.distance,
+                file.doubles(&format!("{what}/distance"))[0],
+                5e-6,
+            );
             let map = file.floats(&format!("{what}/map")).0;
             close_map(&what, &score.map, STEP, &map, 1e-4);
         }
@@ -205,7 +280,12 @@ fn agrees_with_the_published_distances() {
         let map = file.floats(&format!("{name}/made_up/map")).0;
         close_map("made up", &score.map, STEP, &map, 1e-4);
         let inside = lpips.compare_inside(&case.image, &case.reference, &case.mask);
-        close("made up, masked", inside.unwrap().unwrap(), want("masked"), 5e-6);
+        close(
+            "made up, masked",
+            inside.unwrap().unwrap(),
+            want("masked"),
+            5e-6,
+        );
     }
 }
 
@@ -221,28 +301,53 @@ fn any_number_of_threads_gives_the_same_bits() {
 
 #[test]
 fn images_of_different_or_too_small_size_are_refused() {
-    let flat = |w, h, v| LpipsImage::from_planes(w, h, [&vec![v; w * h]; 3].map(|p| &p[..])).unwrap();
+    let flat =
+        |w, h, v| LpipsImage::from_planes(w, h, [&vec![v; w * h]; 3].map(|p| &p[..])).unwrap();
     for (net, _) in NETS {
         let lpips = network(net);
         let least = net.min_side_px();
         let compare = |a: &LpipsImage, b: &LpipsImage| lpips.compare(a, b).map(drop);
-        let within = |w| lpips.compare_inside(&flat(64, 64, 0.5), &flat(64, 64, 0.4), &Plane::filled(w, 64, 0));
+        let within = |w| {
+            lpips.compare_inside(
+                &flat(64, 64, 0.5),
+                &flat(64, 64, 0.4),
+                &Plane::filled(w, 64, 0),
+            )
+        };
         for (result, message) in [
-            (compare(&flat(least - 1, 64, 0.5), &flat(least - 1, 64, 0.4)), "pixels per side at least"),
-            (compare(&flat(0, 0, 0.5), &flat(0, 0, 0.4)), "pixels per side at least"),
-            (compare(&flat(64, 64, 0.5), &flat(64, 65, 0.4)), "the image has 64 x 64 pixels but the reference 64 x 65"),
+            (
+                compare(&flat(least - 1, 64, 0.5), &flat(least - 1, 64, 0.4)),
+                "pixels per side at least",
+            ),
+            (
+                compare(&flat(0, 0, 0.5), &flat(0, 0, 0.4)),
+                "pixels per side at least",
+            ),
+            (
+                compare(&flat(64, 64, 0.5), &flat(64, 65, 0.4)),
+                "the image has 64 x 64 pixels but the reference 64 x 65",
+            ),
             (within(63).map(drop), "the mask has 63 x 64"),
         ] {
             let error = result.unwrap_err();
             assert!(error.to_string().contains(message), "{error}");
         }
-        let score = lpips.compare(&flat(least, least, 0.5), &flat(least, least, 0.4)).unwrap();
+        let score = lpips
+            .compare(&flat(least, least, 0.5), &flat(least, least, 0.4))
+            .unwrap();
         assert!(score.distance.is_finite() && score.map.size() == (least, least));
         assert_eq!(within(64).unwrap(), None);
     }
-    let (good, short, bad) = ([0.5f32; 6], [0.5f32; 5], [0.1, 0.2, f32::NAN, 0.0, 0.0, 0.0]);
+    let (good, short, bad) = (
+        [0.5f32; 6],
+        [0.5f32; 5],
+        [0.1, 0.2, f32::NAN, 0.0, 0.0, 0.0],
+    );
     for (planes, message) in [
-        ([&good[..], &short, &good], "planes of 6 values; channel 1 has 5"),
+        (
+            [&good[..], &short, &good],
+            "planes of 6 values; channel 1 has 5",
+        ),
         ([&good[..], &good, &bad], "pixel (2, 0) of channel 2 is NaN"),
     ] {
         let error = LpipsImage::from_planes(3, 2, planes).unwrap_err();
@@ -260,18 +365,37 @@ fn a_checkpoint_is_read_strictly() {
     };
     let all = arrays_by_formula(LpipsNet::Alex);
     assert!(load(&all).is_none());
-    let Some(LoadError::OtherNetwork { missing, unused, wrong, .. }) = load(&all[1..]) else {
+    let Some(LoadError::OtherNetwork {
+        missing,
+        unused,
+        wrong,
+        ..
+    }) = load(&all[1..])
+    else {
         panic!("an array is missing");
     };
-    assert_eq!((missing, unused, wrong), (vec!["convs.0.weight".to_owned()], vec![], vec![]));
+    assert_eq!(
+        (missing, unused, wrong),
+        (vec!["convs.0.weight".to_owned()], vec![], vec![])
+    );
     let mut more = all.clone();
-    more.push(Array { name: "NetLinLayer_5/Conv_0/kernel".to_owned(), ..all[all.len() - 1].clone() });
+    more.push(Array {
+        name: "NetLinLayer_5/Conv_0/kernel".to_owned(),
+        ..all[all.len() - 1].clone()
+    });
     let error = load(&more).unwrap().to_string();
     assert!(error.contains("lins.5.weight"), "{error}");
-    for name in ["AlexNet_0/Conv_00/kernel", "AlexNet_0/Conv_0/scale", "VGG16_0/Conv_0/kernel"] {
+    for name in [
+        "AlexNet_0/Conv_00/kernel",
+        "AlexNet_0/Conv_0/scale",
+        "VGG16_0/Conv_0/kernel",
+    ] {
         let mut other = all.clone();
         other[0].name = name.to_owned();
-        let Some(LoadError::OtherNetwork { missing, unused, .. }) = load(&other) else {
+        let Some(LoadError::OtherNetwork {
+            missing, unused, ..
+        }) = load(&other)
+        else {
             panic!("{name} is taken for another");
         };
         assert_eq!((missing.len(), unused), (1, vec![name.to_owned()]));

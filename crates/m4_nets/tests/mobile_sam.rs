@@ -1,4 +1,5 @@
-//! MobileSAM against its authors' module: with synthetic weights always, with the real ones where they are.
+//! MobileSAM against its authors' module: with synthetic weights always, with the real ones where
+//! they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{loaded, png, real_weights};
@@ -11,7 +12,9 @@ const KEYS: &str = include_str!("../../../fixtures/mobile_sam/keys.txt");
 const STEP: usize = 4;
 
 fn network() -> MobileSam {
-    loaded(&FormulaWeights::of_keys(KEYS), |path| MobileSam::load(path, cpu()))
+    loaded(&FormulaWeights::of_keys(KEYS), |path| {
+        MobileSam::load(path, cpu())
+    })
 }
 
 /// The largest difference and the standard deviation of what is wanted.
@@ -19,7 +22,10 @@ fn distance(got: &[f32], want: &[f32]) -> (f64, f64) {
     assert_eq!(got.len(), want.len());
     let pairs = got.iter().zip(want);
     let worst = pairs.map(|(a, b)| f64::from((a - b).abs()));
-    let worst = worst.fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) });
+    let worst = worst.fold(
+        0.0,
+        |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) },
+    );
     let mean = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() / want.len() as f64;
     let centre = mean(&mut want.iter().map(|&x| f64::from(x)));
     let spread = mean(&mut want.iter().map(|&x| (f64::from(x) - centre).powi(2))).sqrt();
@@ -28,7 +34,8 @@ fn distance(got: &[f32], want: &[f32]) -> (f64, f64) {
 
 fn every(plane: &Plane<f32>, step: usize) -> Vec<f32> {
     let rows = (0..plane.height()).step_by(step).map(|y| plane.row(y));
-    rows.flat_map(|row| row.iter().copied().step_by(step)).collect()
+    rows.flat_map(|row| row.iter().copied().step_by(step))
+        .collect()
 }
 
 /// How far is allowed: the masks relative to their standard deviation, the qualities as they are.
@@ -37,16 +44,24 @@ struct Limits {
     iou: f64,
 }
 
-/// The prompts of `oracles/mobile_sam.py` on an image of this size; pixels are counted from 0 there.
+/// The prompts of `oracles/mobile_sam.py` on an image of this size; pixels are counted from 0
+/// there.
 fn prompts(width: usize, height: usize) -> [(&'static str, Prompt); 4] {
     let at = |x: f64, y: f64| {
         let pixel = |part: f64, side: usize| (part * side as f64).round_ties_even() as f32 + 0.5;
         [pixel(x, width), pixel(y, height)]
     };
-    let point = |x, y, on_object| PointPrompt { at_px: at(x, y), on_object };
+    let point = |x, y, on_object| PointPrompt {
+        at_px: at(x, y),
+        on_object,
+    };
     let [[x0, y0], [x1, y1]] = [at(0.1, 0.2), at(0.55, 0.9)];
     let box_px = Some([x0, y0, x1, y1]);
-    let prompt = |points, box_px| Prompt { points, box_px, mask_logits: None };
+    let prompt = |points, box_px| Prompt {
+        points,
+        box_px,
+        mask_logits: None,
+    };
     let on = point(0.3, 0.55, true);
     [
         ("point", prompt(vec![on], None)),
@@ -61,9 +76,15 @@ fn compare(net: &MobileSam, image: &RgbImage, file: &Fixture, limits: &Limits) {
     let close = |name: &str, got: &[f32], limit: f64| {
         let (worst, spread) = distance(got, &file.floats(name).0);
         println!("{name}: worst {worst:.2e} at a standard deviation of {spread:.2e}");
-        assert!(spread > 1e-2, "{name} hardly differs from a constant: {spread}");
+        assert!(
+            spread > 1e-2,
+            "{name} hardly differs from a constant: {spread}"
+        );
         let scale = if name.ends_with("iou") { 1.0 } else { spread };
-        assert!(worst < limit * scale, "{name}: {worst} at a standard deviation of {spread}");
+        assert!(
+            worst < limit * scale,
+            "{name}: {worst} at a standard deviation of {spread}"
+        );
     };
     let embedding = net.encode(image).unwrap();
     let mut earlier = None;
@@ -72,11 +93,18 @@ fn compare(net: &MobileSam, image: &RgbImage, file: &Fixture, limits: &Limits) {
             prompt.mask_logits.clone_from(&earlier);
         }
         let masks = net.masks(&embedding, &prompt).unwrap();
-        let logits: Vec<f32> = masks.iter().flat_map(|mask| every(&mask.logits, STEP)).collect();
+        let logits: Vec<f32> = masks
+            .iter()
+            .flat_map(|mask| every(&mask.logits, STEP))
+            .collect();
         close(&format!("{name}/logits"), &logits, limits.masks);
         let whole = masks[1].logits_at(image.size());
         assert_eq!(whole.size(), image.size());
-        close(&format!("{name}/picture_logits"), &every(&whole, STEP), limits.masks);
+        close(
+            &format!("{name}/picture_logits"),
+            &every(&whole, STEP),
+            limits.masks,
+        );
         let iou: Vec<f32> = masks.iter().map(|mask| mask.iou).collect();
         close(&format!("{name}/iou"), &iou, limits.iou);
         if name == "point" {
@@ -96,7 +124,10 @@ fn synthetic_image() -> (Fixture, RgbImage) {
 fn agrees_with_the_module_by_formula() {
     let net = network();
     let (file, image) = synthetic_image();
-    let limits = Limits { masks: 2e-4, iou: 1e-5 };
+    let limits = Limits {
+        masks: 2e-4,
+        iou: 1e-5,
+    };
     compare(&net, &image, &file, &limits);
 }
 
@@ -107,7 +138,10 @@ fn agrees_with_the_module_on_real_weights() {
     };
     let net = MobileSam::load(&path, cpu()).unwrap();
     let file = Fixture::open("mobile_sam/tennis.safetensors");
-    let limits = Limits { masks: 1e-3, iou: 1e-4 };
+    let limits = Limits {
+        masks: 1e-3,
+        iou: 1e-4,
+    };
     compare(&net, &png("tennis/tennis_0.png"), &file, &limits);
 }
 
@@ -123,14 +157,33 @@ fn any_number_of_threads_gives_the_same_bits() {
 fn invalid_images_and_prompts_are_refused() {
     let net = network();
     for (width, height) in [(0, 4), (1, 2049)] {
-        let error = net.encode(&Plane::filled(width, height, [9, 9, 9])).unwrap_err();
-        assert!(error.to_string().contains(&format!("not {width} x {height}")), "{error}");
+        let error = net
+            .encode(&Plane::filled(width, height, [9, 9, 9]))
+            .unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains(&format!("not {width} x {height}")),
+            "{error}"
+        );
     }
     let embedding = net.encode(&Plane::filled(1, 2048, [9, 9, 9])).unwrap();
     let ask = |prompt: &Prompt| net.masks(&embedding, prompt);
-    let at = |x| Prompt { points: vec![PointPrompt { at_px: [x, 0.5], on_object: true }], ..Prompt::default() };
-    let boxed = |y0, y1| Prompt { box_px: Some([0.5, y0, 0.5, y1]), ..Prompt::default() };
-    let with_mask = |mask| Prompt { mask_logits: Some(mask), ..at(0.5) };
+    let at = |x| Prompt {
+        points: vec![PointPrompt {
+            at_px: [x, 0.5],
+            on_object: true,
+        }],
+        ..Prompt::default()
+    };
+    let boxed = |y0, y1| Prompt {
+        box_px: Some([0.5, y0, 0.5, y1]),
+        ..Prompt::default()
+    };
+    let with_mask = |mask| Prompt {
+        mask_logits: Some(mask),
+        ..at(0.5)
+    };
     let outside = "of an image of 1 x 2048 pixels";
     for (prompt, message) in [
         (Prompt::default(), "a point, a box or a mask"),
@@ -141,7 +194,10 @@ fn invalid_images_and_prompts_are_refused() {
         (boxed(9.5, 2048.5), outside),
         (boxed(9.5, 8.5), "first column and row, then last"),
         (with_mask(Plane::filled(256, 255, 0.0)), "not 256 x 255"),
-        (with_mask(Plane::filled(256, 256, f32::INFINITY)), "NaN or infinite"),
+        (
+            with_mask(Plane::filled(256, 256, f32::INFINITY)),
+            "NaN or infinite",
+        ),
     ] {
         let error = ask(&prompt).unwrap_err();
         assert!(error.to_string().contains(message), "{error}");

@@ -9,7 +9,9 @@ use m4_testkit::{Fixture, FormulaWeights, assert_close, same_on_any_threads};
 const KEYS: &str = include_str!("../../../fixtures/raft/keys.txt");
 
 fn network() -> Raft {
-    loaded(&FormulaWeights::of_keys(KEYS), |path| Raft::load(path, cpu()))
+    loaded(&FormulaWeights::of_keys(KEYS), |path| {
+        Raft::load(path, cpu())
+    })
 }
 
 fn pair() -> (Fixture, RgbImage, RgbImage) {
@@ -50,8 +52,18 @@ fn a_warm_start_uses_the_given_flow() {
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     let values = file.floats("flow_init").0;
     let (u, v) = values.split_at(16 * 20);
-    let start = Flow { width: 20, height: 16, u: u.to_vec(), v: v.to_vec() };
-    let none = Flow { width: 20, height: 16, u: vec![0.0; 320], v: vec![0.0; 320] };
+    let start = Flow {
+        width: 20,
+        height: 16,
+        u: u.to_vec(),
+        v: v.to_vec(),
+    };
+    let none = Flow {
+        width: 20,
+        height: 16,
+        u: vec![0.0; 320],
+        v: vec![0.0; 320],
+    };
     let [warm, cold] = net.flow_both(&a, &b, 2, Some([&start, &none])).unwrap();
     assert_flow("warm2", &warm.low, &file.floats("flow_low_warm2").0);
     let [_, want] = net.flow_both(&a, &b, 2, None).unwrap();
@@ -74,7 +86,9 @@ fn odd_sizes_are_padded_and_cropped() {
             })
         };
         let flow = |a: &RgbImage, b: &RgbImage| -> RaftFlow {
-            let [flow, _] = net.flow_both(&net.encode(a).unwrap(), &net.encode(b).unwrap(), 2, None).unwrap();
+            let [flow, _] = net
+                .flow_both(&net.encode(a).unwrap(), &net.encode(b).unwrap(), 2, None)
+                .unwrap();
             flow
         };
         let got = flow(&crop(&a), &crop(&b));
@@ -84,8 +98,16 @@ fn odd_sizes_are_padded_and_cropped() {
         assert_eq!(got.low, want.low);
         for y in 0..h {
             let inside = (y + top) * padded_w + left;
-            assert_eq!(got.flow.u[y * w..][..w], want.flow.u[inside..][..w], "row {y}");
-            assert_eq!(got.flow.v[y * w..][..w], want.flow.v[inside..][..w], "row {y}");
+            assert_eq!(
+                got.flow.u[y * w..][..w],
+                want.flow.u[inside..][..w],
+                "row {y}"
+            );
+            assert_eq!(
+                got.flow.v[y * w..][..w],
+                want.flow.v[inside..][..w],
+                "row {y}"
+            );
         }
     }
 }
@@ -110,16 +132,39 @@ fn zero_iterations_and_mismatched_sizes_are_refused() {
     assert_eq!((flow.low.width, flow.low.height), (16, 16));
     let start = |width, height, numbers| {
         let (u, v) = (vec![0.0; 256], vec![0.0; numbers]);
-        Flow { width, height, u, v }
+        Flow {
+            width,
+            height,
+            u,
+            v,
+        }
     };
     let other = net.encode(&Plane::filled(2, 1, [9, 9, 9])).unwrap();
-    let from = |low: &Flow| net.flow_both(&small, &small, 1, Some([&flow.low, low])).map(drop);
+    let from = |low: &Flow| {
+        net.flow_both(&small, &small, 1, Some([&flow.low, low]))
+            .map(drop)
+    };
     for (result, message) in [
-        (net.flow_both(&small, &small, 0, None).map(drop), "at least one iteration"),
-        (net.flow_both(&small, &other, 1, None).map(drop), "1 x 1 and 2 x 1 pixels"),
-        (net.encode(&Plane::filled(0, 4, [9; 3])).map(drop), "images with pixels"),
-        (from(&start(15, 16, 256)), "has 15 x 16 pixels (256 numbers), these images need 16 x 16"),
-        (from(&start(16, 16, 255)), "has 16 x 16 pixels (255 numbers), these images need 16 x 16"),
+        (
+            net.flow_both(&small, &small, 0, None).map(drop),
+            "at least one iteration",
+        ),
+        (
+            net.flow_both(&small, &other, 1, None).map(drop),
+            "1 x 1 and 2 x 1 pixels",
+        ),
+        (
+            net.encode(&Plane::filled(0, 4, [9; 3])).map(drop),
+            "images with pixels",
+        ),
+        (
+            from(&start(15, 16, 256)),
+            "has 15 x 16 pixels (256 numbers), these images need 16 x 16",
+        ),
+        (
+            from(&start(16, 16, 255)),
+            "has 16 x 16 pixels (255 numbers), these images need 16 x 16",
+        ),
     ] {
         let error = result.unwrap_err();
         assert!(error.to_string().contains(message), "{error}");

@@ -1,4 +1,5 @@
-//! SAM 2.1 as a caller sees it: its checkpoints, its clips, and what it refuses. The parts are compared with upstream's in the crate.
+//! SAM 2.1 as a caller sees it: its checkpoints, its clips, and what it refuses. The parts are
+//! compared with upstream's in the crate.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::loaded;
@@ -14,7 +15,8 @@ const TINY: &str = include_str!("../../../fixtures/sam2/tiny.keys.txt");
 
 /// The tiny size whose objects are there, as in the fixtures.
 fn network() -> Sam2 {
-    let weights = FormulaWeights::of_keys(TINY).with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[1.0]);
+    let weights = FormulaWeights::of_keys(TINY)
+        .with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[1.0]);
     loaded(&weights, |path| Sam2::load(path, cpu()))
 }
 
@@ -28,17 +30,26 @@ fn smallest() -> Arc<Sam2> {
 fn other_sides_are_multiples_of_32() {
     for side in [0, 32, 100, 2080] {
         let error = network().with_side(side).unwrap_err();
-        assert!(error.to_string().contains(&format!("not {side}")), "{error}");
+        assert!(
+            error.to_string().contains(&format!("not {side}")),
+            "{error}"
+        );
     }
 }
 
 /// Upstream counts pixels from 0.
 fn point(at: &[f32], on_object: bool) -> PointPrompt {
-    PointPrompt { at_px: [at[0] + 0.5, at[1] + 0.5], on_object }
+    PointPrompt {
+        at_px: [at[0] + 0.5, at[1] + 0.5],
+        on_object,
+    }
 }
 
 fn points(points: Vec<PointPrompt>) -> Prompt {
-    Prompt { points, ..Prompt::default() }
+    Prompt {
+        points,
+        ..Prompt::default()
+    }
 }
 
 /// A disc that moves over waves.
@@ -48,11 +59,16 @@ fn moving(w: usize, h: usize, frame: usize) -> RgbImage {
         if dx.hypot(dy) < h as f32 / 4.0 {
             return [220, 60, 40];
         }
-        [0.31, 0.17, 0.07].map(|f: f32| (127.0 + 90.0 * (x as f32 * f).sin() * (y as f32 * f * 0.7).cos()) as u8)
+        [0.31, 0.17, 0.07]
+            .map(|f: f32| (127.0 + 90.0 * (x as f32 * f).sin() * (y as f32 * f * 0.7).cos()) as u8)
     })
 }
 
-const CLIP: Clip = Clip { frames: 60, width: 90, height: 50 };
+const CLIP: Clip = Clip {
+    frames: 60,
+    width: 90,
+    height: 50,
+};
 
 fn clip_filled(fill_holes_px: usize) -> VideoPredictor<'static> {
     let images = Box::new(|frame: usize| Ok(moving(90, 50, frame)));
@@ -84,7 +100,10 @@ fn masks_are_the_same_on_any_number_of_threads() {
         follow(&mut predictor, 1..=3, Direction::Backward);
         seen
     });
-    assert_eq!(seen.iter().map(|(frame, _)| *frame).collect::<Vec<_>>(), [0, 1, 2, 3, 3, 4, 3, 2, 1]);
+    assert_eq!(
+        seen.iter().map(|(frame, _)| *frame).collect::<Vec<_>>(),
+        [0, 1, 2, 3, 3, 4, 3, 2, 1]
+    );
     for mask in seen.iter().flat_map(|(_, masks)| masks.values()) {
         assert!(mask.logits.data().iter().all(|x| x.is_finite()));
     }
@@ -104,8 +123,12 @@ fn frames_are_read_once_for_any_number_of_objects() {
     }
     predictor.show(2, 4, &here()).unwrap();
     let mut all = Vec::new();
-    let keep = |_, masks: &BTreeMap<u32, ObjectMask>| all.push(masks.keys().copied().collect::<Vec<u32>>());
-    predictor.follow(0..=3, Direction::Forward, &Silent, keep).unwrap();
+    let keep = |_, masks: &BTreeMap<u32, ObjectMask>| {
+        all.push(masks.keys().copied().collect::<Vec<u32>>())
+    };
+    predictor
+        .follow(0..=3, Direction::Forward, &Silent, keep)
+        .unwrap();
     assert_eq!(all, vec![vec![1, 2, 3, 4, 8, 9]; 4]);
     assert_eq!(predictor.objects().collect::<Vec<_>>(), [1, 2, 3, 4, 8, 9]);
     predictor.remove(3).unwrap();
@@ -121,15 +144,24 @@ fn a_mask_is_taken_as_it_is() {
     let found = predictor.show_mask(0, 1, &disc).unwrap();
     assert!(found.is_there() && (found.iou, found.score) == (1.0, 10.0));
     let back = found.mask_at((180, 100));
-    let differ = back.data().iter().zip(disc.data()).filter(|(a, b)| a != b).count();
+    let differ = back
+        .data()
+        .iter()
+        .zip(disc.data())
+        .filter(|(a, b)| a != b)
+        .count();
     let area = disc.data().iter().filter(|&&on| on).count();
     assert!(area > 1000 && differ * 4 < area, "{differ} of {area}");
     // nothing is an object that is missing
-    let none = predictor.show_mask(0, 2, &Plane::filled(5, 5, false)).unwrap();
+    let none = predictor
+        .show_mask(0, 2, &Plane::filled(5, 5, false))
+        .unwrap();
     assert!(!none.is_there() && none.mask_at((90, 50)).data().iter().all(|&on| !on));
     let mut last = BTreeMap::new();
     let keep = |_, masks: &BTreeMap<u32, ObjectMask>| last.clone_from(masks);
-    predictor.follow(0..=2, Direction::Forward, &Silent, keep).unwrap();
+    predictor
+        .follow(0..=2, Direction::Forward, &Silent, keep)
+        .unwrap();
     assert_ne!(last[&1], last[&2]);
 }
 
@@ -142,7 +174,9 @@ fn every_prompted_frame_counts() {
         }
         let mut last = None;
         let keep = |_, masks: &BTreeMap<u32, ObjectMask>| last = masks.get(&1).cloned();
-        predictor.follow(31..=32, Direction::Forward, &Silent, keep).unwrap();
+        predictor
+            .follow(31..=32, Direction::Forward, &Silent, keep)
+            .unwrap();
         last.unwrap().logits
     };
     assert_ne!(run(&[0, 5, 20, 40, 59]), run(&[0, 5, 20, 40]));
@@ -150,7 +184,12 @@ fn every_prompted_frame_counts() {
 
 #[test]
 fn holes_are_filled_where_asked() {
-    let run = |fill_holes_px| clip_filled(fill_holes_px).show(0, 1, &here()).unwrap().logits;
+    let run = |fill_holes_px| {
+        clip_filled(fill_holes_px)
+            .show(0, 1, &here())
+            .unwrap()
+            .logits
+    };
     let (open, filled) = (run(0), run(256));
     assert!(open.data().iter().any(|&x| x <= 0.0) && open.data().iter().any(|&x| x > 0.0));
     assert!(filled.data().iter().all(|&x| x > 0.0));
@@ -161,32 +200,77 @@ fn the_user_can_stop() {
     let mut predictor = clip();
     predictor.show(0, 1, &here()).unwrap();
     let mut seen = 0;
-    let stopped = predictor.follow(0..=59, Direction::Forward, &StopAtPoll::after(4), |_, _| seen += 1);
+    let stopped = predictor.follow(0..=59, Direction::Forward, &StopAtPoll::after(4), |_, _| {
+        seen += 1
+    });
     assert!(matches!(stopped, Err(NetError::Cancelled)));
     assert_eq!(seen, 3);
 }
 
 #[test]
 fn invalid_clips_and_prompts_are_refused() {
-    let says = |error: NetError, message: &str| assert!(error.to_string().contains(message), "{error}, not {message}");
+    let says = |error: NetError, message: &str| {
+        assert!(
+            error.to_string().contains(message),
+            "{error}, not {message}"
+        )
+    };
     let images = |size: (usize, usize)| Box::new(move |_: usize| Ok(moving(size.0, size.1, 0)));
     let open = |clip, size| VideoPredictor::new(smallest(), clip, images(size), 0);
-    for (frames, width, message) in [(0, 9, "without frames"), (4, 0, "a clip has no pixels: it is 0 x 9")] {
-        says(open(Clip { frames, width, height: 9 }, (9, 9)).unwrap_err(), message);
+    for (frames, width, message) in [
+        (0, 9, "without frames"),
+        (4, 0, "a clip has no pixels: it is 0 x 9"),
+    ] {
+        says(
+            open(
+                Clip {
+                    frames,
+                    width,
+                    height: 9,
+                },
+                (9, 9),
+            )
+            .unwrap_err(),
+            message,
+        );
     }
-    says(open(CLIP, (0, 9)).unwrap().show(0, 1, &here()).unwrap_err(), "an image has no pixels");
+    says(
+        open(CLIP, (0, 9)).unwrap().show(0, 1, &here()).unwrap_err(),
+        "an image has no pixels",
+    );
     let broken = Box::new(|_: usize| Err("no such file".into()));
     let mut broken = VideoPredictor::new(smallest(), CLIP, broken, 0).unwrap();
-    says(broken.show(3, 1, &here()).unwrap_err(), "frame 3 is not available: no such file");
+    says(
+        broken.show(3, 1, &here()).unwrap_err(),
+        "frame 3 is not available: no such file",
+    );
 
     let mut predictor = clip();
-    let follow =
-        |predictor: &mut VideoPredictor<'_>, frames| predictor.follow(frames, Direction::Forward, &Silent, |_, _| ());
-    says(follow(&mut predictor, 0..=3).unwrap_err(), "no object to track");
-    assert!(matches!(predictor.remove(5), Err(NetError::UnknownObject(5))));
-    let at = |x, y| points(vec![PointPrompt { at_px: [x, y], on_object: true }]);
-    let with_box = |corners| Prompt { box_px: Some(corners), ..Prompt::default() };
-    let with_mask = |mask| Prompt { mask_logits: Some(mask), ..here() };
+    let follow = |predictor: &mut VideoPredictor<'_>, frames| {
+        predictor.follow(frames, Direction::Forward, &Silent, |_, _| ())
+    };
+    says(
+        follow(&mut predictor, 0..=3).unwrap_err(),
+        "no object to track",
+    );
+    assert!(matches!(
+        predictor.remove(5),
+        Err(NetError::UnknownObject(5))
+    ));
+    let at = |x, y| {
+        points(vec![PointPrompt {
+            at_px: [x, y],
+            on_object: true,
+        }])
+    };
+    let with_box = |corners| Prompt {
+        box_px: Some(corners),
+        ..Prompt::default()
+    };
+    let with_mask = |mask| Prompt {
+        mask_logits: Some(mask),
+        ..here()
+    };
     let outside = "of an image of 90 x 50 pixels";
     for (prompt, message) in [
         (at(-1.0, 3.0), outside),
@@ -195,21 +279,48 @@ fn invalid_clips_and_prompts_are_refused() {
         (at(f32::NAN, 3.0), outside),
         (at(3.0, f32::INFINITY), outside),
         (with_box([9.0, 9.0, 30.0, f32::NAN]), outside),
-        (with_box([9.0, 9.0, 3.0, 12.0]), "first column and row, then last"),
+        (
+            with_box([9.0, 9.0, 3.0, 12.0]),
+            "first column and row, then last",
+        ),
         (Prompt::default(), "a point, a box or a mask"),
-        (with_mask(Plane::filled(16, 9, 0.0)), "has 16 x 16 pixels, as the logits of a prediction, not 16 x 9"),
-        (with_mask(Plane::filled(16, 16, f32::NAN)), "NaN or infinite"),
+        (
+            with_mask(Plane::filled(16, 9, 0.0)),
+            "has 16 x 16 pixels, as the logits of a prediction, not 16 x 9",
+        ),
+        (
+            with_mask(Plane::filled(16, 16, f32::NAN)),
+            "NaN or infinite",
+        ),
     ] {
         says(predictor.show(0, 1, &prompt).unwrap_err(), message);
     }
-    for prompt in [at(90.0, 50.0), at(0.0, 0.0), with_mask(Plane::filled(16, 16, 1e30))] {
+    for prompt in [
+        at(90.0, 50.0),
+        at(0.0, 0.0),
+        with_mask(Plane::filled(16, 16, 1e30)),
+    ] {
         predictor.show(0, 1, &prompt).unwrap();
     }
-    says(predictor.show_mask(0, 1, &Plane::filled(0, 9, true)).unwrap_err(), "a mask has no pixels");
+    says(
+        predictor
+            .show_mask(0, 1, &Plane::filled(0, 9, true))
+            .unwrap_err(),
+        "a mask has no pixels",
+    );
 
     let far = predictor.show(60, 1, &here());
-    assert!(matches!(far, Err(NetError::NoSuchFrame { frame: 60, frames: 60 })));
-    assert!(matches!(follow(&mut predictor, 50..=60), Err(NetError::NoSuchFrame { .. })));
+    assert!(matches!(
+        far,
+        Err(NetError::NoSuchFrame {
+            frame: 60,
+            frames: 60
+        })
+    ));
+    assert!(matches!(
+        follow(&mut predictor, 50..=60),
+        Err(NetError::NoSuchFrame { .. })
+    ));
     #[expect(clippy::reversed_empty_ranges, reason = "what is tested")]
     let backward = 5..=3;
     follow(&mut predictor, backward).unwrap();
@@ -222,11 +333,25 @@ fn invalid_clips_and_prompts_are_refused() {
 #[test]
 fn a_clip_of_one_frame_can_be_corrected() {
     let images = Box::new(|_: usize| Ok(moving(64, 64, 0)));
-    let clip = Clip { frames: 1, width: 64, height: 64 };
+    let clip = Clip {
+        frames: 1,
+        width: 64,
+        height: 64,
+    };
     let mut predictor = VideoPredictor::new(smallest(), clip, images, 0).unwrap();
-    predictor.show(0, 1, &points(vec![point(&[12.0, 30.0], true)])).unwrap();
-    predictor.follow(0..=0, Direction::Forward, &Silent, |_, _| ()).unwrap();
-    let corrected = predictor.show(0, 1, &points(vec![point(&[40.0, 30.0], false)])).unwrap();
+    predictor
+        .show(0, 1, &points(vec![point(&[12.0, 30.0], true)]))
+        .unwrap();
+    predictor
+        .follow(0..=0, Direction::Forward, &Silent, |_, _| ())
+        .unwrap();
+    let corrected = predictor
+        .show(0, 1, &points(vec![point(&[40.0, 30.0], false)]))
+        .unwrap();
     assert!(corrected.logits.data().iter().all(|x| x.is_finite()));
-    predictor.follow(0..=0, Direction::Backward, &Silent, |_, masks| assert_eq!(masks[&1], corrected)).unwrap();
+    predictor
+        .follow(0..=0, Direction::Backward, &Silent, |_, masks| {
+            assert_eq!(masks[&1], corrected)
+        })
+        .unwrap();
 }

@@ -1,8 +1,12 @@
 //! TAPIP3D: its checkpoint, clips that do not fit, and what its answers depend on.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_core::{Camera, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
-use m4_nets::{ClipError, LoadError, NetError, PointQuery, PosedClip, Tapip3d, Tapip3dOptions, cpu};
+use m4_core::{
+    Camera, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3,
+};
+use m4_nets::{
+    ClipError, LoadError, NetError, PointQuery, PosedClip, Tapip3d, Tapip3dOptions, cpu,
+};
 use m4_testkit::{FormulaWeights, same_on_any_threads};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -27,7 +31,8 @@ fn load() -> Tapip3d {
     Tapip3d::load(&write(folder.path(), KEYS, Some(CONFIG)), cpu()).unwrap()
 }
 
-/// A wavy wall that a camera passes by; `hole` is what its depth is on the left, and frames from `blind` on have none.
+/// A wavy wall that a camera passes by; `hole` is what its depth is on the left, and frames from
+/// `blind` on have none.
 struct Wall {
     frames: usize,
     hole: f32,
@@ -36,7 +41,11 @@ struct Wall {
 
 impl Wall {
     fn of(frames: usize) -> Self {
-        Self { frames, hole: 2.0, blind: usize::MAX }
+        Self {
+            frames,
+            hole: 2.0,
+            blind: usize::MAX,
+        }
     }
 }
 
@@ -48,7 +57,8 @@ impl PosedClip for Wall {
     fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         Ok(Plane::from_fn(144, 64, |x, y| {
             let (x, y) = (x as f32 + 1.5 * frame as f32, y as f32);
-            [0.31, 0.17, 0.07].map(|f: f32| (127.0 + 90.0 * (x * f).sin() * (y * f * 0.7).cos()) as u8)
+            [0.31, 0.17, 0.07]
+                .map(|f: f32| (127.0 + 90.0 * (x * f).sin() * (y * f * 0.7).cos()) as u8)
         }))
     }
 
@@ -65,7 +75,10 @@ impl PosedClip for Wall {
     fn camera(&self, frame: usize) -> Result<Camera, ClipError> {
         Ok(Camera {
             intrinsics: Intrinsics::centred(144, 64, 120.0),
-            c2w: Se3 { translation: Vector3::new(0.03 * frame as f64, 0.0, 0.0), ..Se3::identity() },
+            c2w: Se3 {
+                translation: Vector3::new(0.03 * frame as f64, 0.0, 0.0),
+                ..Se3::identity()
+            },
         })
     }
 }
@@ -79,7 +92,11 @@ fn queries(frames: &[usize]) -> Vec<PointQuery> {
 }
 
 fn options() -> Tapip3dOptions {
-    Tapip3dOptions { iterations: 1, support_grid: 2, ..Tapip3dOptions::at(SIZE) }
+    Tapip3dOptions {
+        iterations: 1,
+        support_grid: 2,
+        ..Tapip3dOptions::at(SIZE)
+    }
 }
 
 #[test]
@@ -98,7 +115,11 @@ fn says_how_a_checkpoint_is_converted() {
         ("\"seq_len\": 16", "\"seq_len\": 8", "windows of 8"),
         ("\"norm_scale\": 0.1", "\"norm_scale\": 0", "norm_scale"),
         ("\"corr_levels\": 4", "\"corr_levels\": 3", "levels"),
-        ("\"k_neighbors\": 32", "\"use_features\": true", "use_features"),
+        (
+            "\"k_neighbors\": 32",
+            "\"use_features\": true",
+            "use_features",
+        ),
         ("\"k_neighbors\": 32", "\"k\": 32", "k_neighbors"),
         ("\"num_heads\": 8", "\"num_heads\": 7", "7 heads"),
         ("isotropic", "sideways", "sideways"),
@@ -115,21 +136,39 @@ fn says_how_a_checkpoint_is_converted() {
 fn the_same_bits_on_any_number_of_threads() {
     let net = load();
     let queries = queries(&[0, 3, 17, 17, 9]);
-    let one = same_on_any_threads(|| net.track(&Wall::of(18), &queries, &options(), &Silent).unwrap());
+    let one = same_on_any_threads(|| {
+        net.track(&Wall::of(18), &queries, &options(), &Silent)
+            .unwrap()
+    });
     assert_eq!((one.world.len(), one.frames), (5 * 18, 18));
-    let moved = one.world.iter().zip(queries.iter().flat_map(|q| [q.world; 18]));
-    let far = moved.map(|(p, q)| (0..3).map(|i| (f64::from(p[i]) - q[i]).abs()).fold(0.0, f64::max));
+    let moved = one
+        .world
+        .iter()
+        .zip(queries.iter().flat_map(|q| [q.world; 18]));
+    let far = moved.map(|(p, q)| {
+        (0..3)
+            .map(|i| (f64::from(p[i]) - q[i]).abs())
+            .fold(0.0, f64::max)
+    });
     assert!(far.fold(0.0, f64::max) > 1e-4, "nothing moved");
 }
 
-/// Groups are followed as if each were asked for alone: the setting for memory decides on nothing but the groups.
+/// Groups are followed as if each were asked for alone: the setting for memory decides on nothing
+/// but the groups.
 #[test]
 fn groups_are_tracked_independently() {
     let net = load();
     let frames: Vec<usize> = (0..65).map(|i| i % 5).collect();
     let queries = queries(&frames);
-    let little = Tapip3dOptions { memory_bytes: 0, backward: false, ..options() };
-    let much = Tapip3dOptions { memory_bytes: 1 << 40, ..little.clone() };
+    let little = Tapip3dOptions {
+        memory_bytes: 0,
+        backward: false,
+        ..options()
+    };
+    let much = Tapip3dOptions {
+        memory_bytes: 1 << 40,
+        ..little.clone()
+    };
     let clip = Wall::of(5);
     // 65 queries are one more than go together at least: two groups, dealt out one by one
     let both = net.track(&clip, &queries, &little, &Silent).unwrap();
@@ -148,7 +187,10 @@ fn groups_are_tracked_independently() {
 fn frames_before_a_query_are_tracked_in_the_backward_pass() {
     let net = load();
     let queries = queries(&[6]);
-    let only_forward = Tapip3dOptions { backward: false, ..options() };
+    let only_forward = Tapip3dOptions {
+        backward: false,
+        ..options()
+    };
     let clip = Wall::of(10);
     let forward = net.track(&clip, &queries, &only_forward, &Silent).unwrap();
     let both = net.track(&clip, &queries, &options(), &Silent).unwrap();
@@ -165,19 +207,64 @@ fn frames_before_a_query_are_tracked_in_the_backward_pass() {
 fn clips_that_do_not_fit() {
     let net = load();
     let some = queries(&[0, 0]);
-    let track =
-        |clip: &Wall, queries: &[PointQuery], options: &Tapip3dOptions| net.track(clip, queries, options, &Silent);
-    let nowhere = [PointQuery { frame: 0, world: [0.0, f64::NAN, 1.0] }];
+    let track = |clip: &Wall, queries: &[PointQuery], options: &Tapip3dOptions| {
+        net.track(clip, queries, options, &Silent)
+    };
+    let nowhere = [PointQuery {
+        frame: 0,
+        world: [0.0, f64::NAN, 1.0],
+    }];
     let of_size = |size| Tapip3dOptions::at(size);
     for (clip, queries, options, message) in [
         (Wall::of(0), &some[..], options(), "a clip without frames"),
-        (Wall::of(3), &queries(&[0, 3])[..], options(), "point 1 cannot be tracked"),
-        (Wall::of(3), &nowhere[..], options(), "point 0 cannot be tracked"),
-        (Wall::of(3), &some[..], of_size((0, 0)), "choose a larger size"),
-        (Wall::of(3), &some[..], of_size((128, 128)), "choose a larger size"),
-        (Wall::of(3), &some[..], of_size((1 << 20, 1 << 20)), "choose a larger size"),
-        (Wall { blind: 0, ..Wall::of(3) }, &some[..], options(), "no depth is known in frames 0 to 2"),
-        (Wall { blind: 8, ..Wall::of(24) }, &some[..], options(), "no depth is known in frames 8 to 23"),
+        (
+            Wall::of(3),
+            &queries(&[0, 3])[..],
+            options(),
+            "point 1 cannot be tracked",
+        ),
+        (
+            Wall::of(3),
+            &nowhere[..],
+            options(),
+            "point 0 cannot be tracked",
+        ),
+        (
+            Wall::of(3),
+            &some[..],
+            of_size((0, 0)),
+            "choose a larger size",
+        ),
+        (
+            Wall::of(3),
+            &some[..],
+            of_size((128, 128)),
+            "choose a larger size",
+        ),
+        (
+            Wall::of(3),
+            &some[..],
+            of_size((1 << 20, 1 << 20)),
+            "choose a larger size",
+        ),
+        (
+            Wall {
+                blind: 0,
+                ..Wall::of(3)
+            },
+            &some[..],
+            options(),
+            "no depth is known in frames 0 to 2",
+        ),
+        (
+            Wall {
+                blind: 8,
+                ..Wall::of(24)
+            },
+            &some[..],
+            options(),
+            "no depth is known in frames 8 to 23",
+        ),
     ] {
         let error = track(&clip, queries, &options).unwrap_err();
         assert!(error.to_string().contains(message), "{error}");
@@ -191,9 +278,21 @@ fn clips_that_do_not_fit() {
 #[test]
 fn unusual_clips_are_tracked_or_rejected() {
     let net = load();
-    for (frames, hole) in [(1, 2.0), (2, f32::NAN), (2, f32::NEG_INFINITY), (2, f32::INFINITY), (2, -1.0), (2, 1e30)] {
-        let clip = Wall { hole, ..Wall::of(frames) };
-        let tracks = net.track(&clip, &queries(&[0, frames - 1]), &options(), &Silent).unwrap();
+    for (frames, hole) in [
+        (1, 2.0),
+        (2, f32::NAN),
+        (2, f32::NEG_INFINITY),
+        (2, f32::INFINITY),
+        (2, -1.0),
+        (2, 1e30),
+    ] {
+        let clip = Wall {
+            hole,
+            ..Wall::of(frames)
+        };
+        let tracks = net
+            .track(&clip, &queries(&[0, frames - 1]), &options(), &Silent)
+            .unwrap();
         assert_eq!(tracks.world.len(), 2 * frames);
         let numbers = tracks.world.as_flattened().iter().chain(&tracks.visibility);
         assert!(numbers.into_iter().all(|x| x.is_finite()), "{hole}");
@@ -219,14 +318,20 @@ fn tracking_stops_on_request() {
     }
     let net = load();
     let run = |most: usize| {
-        let impatient = Impatient { reports: AtomicUsize::new(0), most };
+        let impatient = Impatient {
+            reports: AtomicUsize::new(0),
+            most,
+        };
         let result = net.track(&Wall::of(17), &queries(&[0]), &options(), &impatient);
         (result, impatient.reports.into_inner())
     };
     // at once, while depth is read, before the first window, between two
     for most in [0, 5, 17, 18] {
         let (result, reports) = run(most);
-        assert!(matches!(result, Err(NetError::Cancelled)), "{most}: {result:?}");
+        assert!(
+            matches!(result, Err(NetError::Cancelled)),
+            "{most}: {result:?}"
+        );
         assert_eq!(reports, most);
     }
     // 17 frames' depth and two windows

@@ -1,4 +1,5 @@
-//! `UniDepth` V2 against the authors' module of mid 2024 (`oracles/unidepth_v2.py`), with synthetic weights: a small backbone of five blocks and heads of 128 channels.
+//! `UniDepth` V2 against the authors' module of mid 2024 (`oracles/unidepth_v2.py`), with synthetic
+//! weights: a small backbone of five blocks and heads of 128 channels.
 
 use crate::common::{loaded, real_weights};
 use m4_core::{Plane, RgbImage};
@@ -10,7 +11,9 @@ const KEYS: &str = include_str!("../../../fixtures/unidepth_v2/formula.keys.txt"
 const PATCHES: usize = 48;
 
 fn network() -> UniDepth {
-    loaded(&FormulaWeights::of_keys(KEYS), |path| UniDepth::load(path, cpu()))
+    loaded(&FormulaWeights::of_keys(KEYS), |path| {
+        UniDepth::load(path, cpu())
+    })
 }
 
 fn fixture() -> (Fixture, RgbImage) {
@@ -29,7 +32,10 @@ fn agrees_with_the_module_by_formula() {
     assert_close("depth", got.depth_m.data(), &file.floats("depth").0, 5e-5);
     let camera = got.camera;
     let want = file.floats("intrinsics").0;
-    for (got, want) in [camera.fx, camera.fy, camera.cx, camera.cy].into_iter().zip(want) {
+    for (got, want) in [camera.fx, camera.fy, camera.cx, camera.cy]
+        .into_iter()
+        .zip(want)
+    {
         let error = (got / f64::from(want) - 1.0).abs();
         assert!(error < 1e-5, "{got} px where {want} were expected");
     }
@@ -56,7 +62,10 @@ fn images_of_any_size_are_accepted_and_empty_ones_refused() {
         assert!(depth_m.data().iter().all(|&d| d.is_finite() && d >= 0.0));
         assert!(camera.fx > 0.0 && camera.fx.is_finite(), "{camera:?}");
     }
-    for (size, message) in [((0, 4), "an image with pixels"), ((100, 1), "100 x 1 pixels is too narrow")] {
+    for (size, message) in [
+        ((0, 4), "an image with pixels"),
+        ((100, 1), "100 x 1 pixels is too narrow"),
+    ] {
         let error = depth(size.0, size.1, 9).unwrap_err();
         assert!(error.to_string().contains(message), "{error}");
     }
@@ -74,6 +83,9 @@ fn real_weights_have_the_expected_tensors() {
     depths.sort_by(f32::total_cmp);
     let fov = camera.horizontal_fov_rad().to_degrees();
     let [near, far] = [depths.len() / 20, depths.len() * 19 / 20].map(|i| depths[i]);
-    assert!(near > 0.3 && far < 200.0 && far > 1.2 * near, "{near} m to {far} m");
+    assert!(
+        near > 0.3 && far < 200.0 && far > 1.2 * near,
+        "{near} m to {far} m"
+    );
     assert!((20.0..120.0).contains(&fov), "{fov} degrees");
 }

@@ -1,4 +1,5 @@
-//! A synthetic scene with ground truth: boxes that rotate and move behind a pillar and out of the image.
+//! A synthetic scene with ground truth: boxes that rotate and move behind a pillar and out of the
+//! image.
 
 use m4_core::{
     Camera, DepthMap, Intrinsics, Mask, Plane, RgbImage, Se3,
@@ -16,8 +17,9 @@ pub struct Hit {
     pub depth: f64,
 }
 
-/// A textured wall at depth 6, a pillar at depth 2.2, and two textured boxes: one turns by 0.6 rad on its way behind the pillar, the
-/// other, nearer to the side, leaves the image. The camera walks slowly.
+/// A textured wall at depth 6, a pillar at depth 2.2, and two textured boxes: one turns by 0.6 rad
+/// on its way behind the pillar, the other, nearer to the side, leaves the image. The camera walks
+/// slowly.
 #[derive(Debug, Clone)]
 pub struct BoxScene {
     /// One per frame.
@@ -28,7 +30,12 @@ pub struct BoxScene {
 /// Bodies from this one on move.
 const FIRST_MOVING: usize = 2;
 /// Half the sides of each body.
-const HALF: [[f64; 3]; 4] = [[12.0, 9.0, 0.1], [0.11, 3.0, 0.1], [0.42, 0.35, 0.3], [0.26, 0.22, 0.2]];
+const HALF: [[f64; 3]; 4] = [
+    [12.0, 9.0, 0.1],
+    [0.11, 3.0, 0.1],
+    [0.42, 0.35, 0.3],
+    [0.26, 0.22, 0.2],
+];
 
 impl BoxScene {
     /// A clip of this many images of `width` x `height` pixels.
@@ -38,12 +45,16 @@ impl BoxScene {
             Camera {
                 intrinsics: Intrinsics::centred(width, height, width as f64),
                 c2w: Se3 {
-                    rotation: *Rotation3::from_scaled_axis(Vector3::new(0.0, 0.03 - 0.06 * u, 0.0)).matrix(),
+                    rotation: *Rotation3::from_scaled_axis(Vector3::new(0.0, 0.03 - 0.06 * u, 0.0))
+                        .matrix(),
                     translation: Vector3::new(-0.1 + 0.2 * u, 0.02 * u, 0.0),
                 },
             }
         };
-        let mut out = Self { cameras: (0..frames).map(camera).collect(), hits: Vec::new() };
+        let mut out = Self {
+            cameras: (0..frames).map(camera).collect(),
+            hits: Vec::new(),
+        };
         out.hits = (0..frames)
             .map(|t| {
                 let pixel = |i: usize| out.cast(t, (i % width) as f64, (i / width) as f64);
@@ -68,29 +79,46 @@ impl BoxScene {
         let (axis, centre) = match body {
             0 => ([0.0; 3], [0.0, 0.0, 6.1]),
             1 => ([0.0; 3], [0.05, 0.0, 2.2]),
-            2 => ([0.0, 0.2 + 0.6 * u, 0.1 * u], [-0.75 + 1.5 * u, 0.15, 3.2 + 0.15 * (3.0 * u).sin()]),
+            2 => (
+                [0.0, 0.2 + 0.6 * u, 0.1 * u],
+                [-0.75 + 1.5 * u, 0.15, 3.2 + 0.15 * (3.0 * u).sin()],
+            ),
             _ => ([0.1 + 0.2 * u, 0.0, 0.5 * u], [0.65 + 1.5 * u, -0.6, 2.8]),
         };
-        Se3 { rotation: *Rotation3::from_scaled_axis(Vector3::from(axis)).matrix(), translation: Vector3::from(centre) }
+        Se3 {
+            rotation: *Rotation3::from_scaled_axis(Vector3::from(axis)).matrix(),
+            translation: Vector3::from(centre),
+        }
     }
 
-    /// Casts a ray from the camera of frame `t` through pixel coordinates `(u, v)` (centre of the first pixel: 0, 0).
+    /// Casts a ray from the camera of frame `t` through pixel coordinates `(u, v)` (centre of the
+    /// first pixel: 0, 0).
     pub fn cast(&self, t: usize, u: f64, v: f64) -> Hit {
         let camera = &self.cameras[t];
-        let (origin, ray) = (camera.centre(), camera.unproject(u, v, 1.0) - camera.centre());
+        let (origin, ray) = (
+            camera.centre(),
+            camera.unproject(u, v, 1.0) - camera.centre(),
+        );
         let mut nearest: Option<Hit> = None;
         for body in 0..HALF.len() {
             let to_body = self.pose(body, t).inverse();
             let (o, d) = (to_body.transform(&origin), to_body.rotation * ray);
             let (mut enter, mut leave) = (0.0f64, f64::INFINITY);
             for k in 0..3 {
-                let (a, b) = ((-HALF[body][k] - o[k]) / d[k], (HALF[body][k] - o[k]) / d[k]);
+                let (a, b) = (
+                    (-HALF[body][k] - o[k]) / d[k],
+                    (HALF[body][k] - o[k]) / d[k],
+                );
                 enter = enter.max(a.min(b));
                 leave = leave.min(a.max(b));
             }
             let depth = enter;
             if depth > 0.0 && enter < leave && nearest.is_none_or(|n| depth < n.depth) {
-                nearest = Some(Hit { body, local: o + depth * d, depth });
+                nearest = Some(Hit {
+                    body,
+                    local: o + depth * d,
+                    depth,
+                });
             }
         }
         nearest.expect("the wall fills the view")
@@ -123,7 +151,11 @@ impl BoxScene {
     pub fn sees(&self, body: usize, local: &Vector3<f64>, t: usize) -> bool {
         let ([u, v], z) = self.cameras[t].project(&self.place(body, local, t));
         let k = &self.cameras[t].intrinsics;
-        let inside = z > 0.0 && u > -0.5 && v > -0.5 && u < k.width as f64 - 0.5 && v < k.height as f64 - 0.5;
+        let inside = z > 0.0
+            && u > -0.5
+            && v > -0.5
+            && u < k.width as f64 - 0.5
+            && v < k.height as f64 - 0.5;
         inside && {
             let hit = self.cast(t, u, v);
             hit.body == body && (hit.local - local).norm() < 0.01 * z
@@ -150,13 +182,16 @@ impl BoxScene {
         self.plane(t, |hit| if Self::moves(hit.body) { 255 } else { 0 })
     }
 
-    /// True displacement, pixels, of what each pixel of frame `from` shows, to frame `to`, whether it is seen there or not: to the
-    /// right and downwards, `[height][width]`.
+    /// True displacement, pixels, of what each pixel of frame `from` shows, to frame `to`, whether
+    /// it is seen there or not: to the right and downwards, `[height][width]`.
     pub fn flow(&self, from: usize, to: usize) -> (Vec<f32>, Vec<f32>) {
         let width = self.cameras[from].intrinsics.width;
         let one = |(i, hit): (usize, &Hit)| {
             let ([u, v], _) = self.cameras[to].project(&self.place(hit.body, &hit.local, to));
-            ((u - (i % width) as f64) as f32, (v - (i / width) as f64) as f32)
+            (
+                (u - (i % width) as f64) as f32,
+                (v - (i / width) as f64) as f32,
+            )
         };
         self.hits[from].iter().enumerate().map(one).unzip()
     }
@@ -178,7 +213,10 @@ fn texture(body: usize, p: &Vector3<f64>) -> [u8; 3] {
     std::array::from_fn(|c| {
         let phase = 1.7 * c as f64 + 2.3 * body as f64;
         let sum: f64 = (0..4)
-            .map(|i| (scale * waves[i].dot(p) + phase * (i + 1) as f64).sin() * if i < 2 { 34.0 } else { 24.0 })
+            .map(|i| {
+                (scale * waves[i].dot(p) + phase * (i + 1) as f64).sin()
+                    * if i < 2 { 34.0 } else { 24.0 }
+            })
             .sum();
         (128.0 + sum).clamp(0.0, 255.0).round() as u8
     })
@@ -192,18 +230,35 @@ mod tests {
     #[test]
     fn one_box_is_hidden_in_part_and_the_other_leaves() {
         let scene = BoxScene::new(96, 72, 12);
-        let count = |t: usize, body: usize| (0..96 * 72).filter(|i| scene.hit(t, i % 96, i / 96).body == body).count();
+        let count = |t: usize, body: usize| {
+            (0..96 * 72)
+                .filter(|i| scene.hit(t, i % 96, i / 96).body == body)
+                .count()
+        };
         assert!(count(0, 3) > 50 && count(11, 3) == 0);
         assert!((0..12).all(|t| count(t, 2) > 100));
-        assert!(count(6, 2) * 5 < count(0, 2) * 4, "{} {}", count(6, 2), count(0, 2));
+        assert!(
+            count(6, 2) * 5 < count(0, 2) * 4,
+            "{} {}",
+            count(6, 2),
+            count(0, 2)
+        );
         // a point of the front face goes behind the pillar and comes back
-        let hit = (0..96 * 72).map(|i| scene.hit(0, i % 96, i / 96)).filter(|h| h.body == 2).nth(150).unwrap();
+        let hit = (0..96 * 72)
+            .map(|i| scene.hit(0, i % 96, i / 96))
+            .filter(|h| h.body == 2)
+            .nth(150)
+            .unwrap();
         let seen: Vec<bool> = (0..12).map(|t| scene.sees(2, &hit.local, t)).collect();
         assert!(seen[0] && seen[11] && seen.contains(&false), "{seen:?}");
         let place = scene.place(2, &hit.local, 5);
         assert!((scene.local(2, &place, 5) - hit.local).norm() < 1e-12);
         assert!(scene.surface_distance(2, &place, 5) < 1e-9);
-        let off = scene.surface_distance(2, &scene.place(2, &Vector3::new(0.42, 0.1, 0.0).scale(1.5), 5), 5);
+        let off = scene.surface_distance(
+            2,
+            &scene.place(2, &Vector3::new(0.42, 0.1, 0.0).scale(1.5), 5),
+            5,
+        );
         assert!((off - 0.21).abs() < 1e-9, "{off}");
     }
 
@@ -215,7 +270,11 @@ mod tests {
         for i in 0..96 * 72 {
             let hit = scene.hit(3, i % 96, i / 96);
             if scene.sees(hit.body, &hit.local, 4) {
-                let there = scene.cast(4, (i % 96) as f64 + f64::from(u[i]), (i / 96) as f64 + f64::from(v[i]));
+                let there = scene.cast(
+                    4,
+                    (i % 96) as f64 + f64::from(u[i]),
+                    (i / 96) as f64 + f64::from(v[i]),
+                );
                 if there.body == hit.body {
                     let off: Vector3<f64> = there.local - hit.local;
                     assert!(off.norm() < 1e-3 * hit.depth, "{i}: {off}");

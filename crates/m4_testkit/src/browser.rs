@@ -13,7 +13,12 @@ use tungstenite::{Message, WebSocket};
 
 const WINDOW: (u32, u32) = (960, 600);
 /// Names under which distributions install it, and the variable that overrules them.
-const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
+const NAMES: [&str; 4] = [
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+];
 const VARIABLE: &str = "MINUTE4D_CHROMIUM";
 /// An answer that takes longer than this does not come.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -48,7 +53,10 @@ pub fn find_chromium() -> Option<PathBuf> {
         .flat_map(|folder| NAMES.map(|name| folder.join(name)))
         .find(|path| path.is_file());
     if found.is_none() {
-        skip(Need::Chromium, &format!("no Chromium is on the PATH, and {VARIABLE} is not set"));
+        skip(
+            Need::Chromium,
+            &format!("no Chromium is on the PATH, and {VARIABLE} is not set"),
+        );
     }
     found
 }
@@ -79,16 +87,30 @@ impl Chromium {
         let address = lines
             .by_ref()
             .map_while(Result::ok)
-            .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
+            .find_map(|line| {
+                line.strip_prefix("DevTools listening on ")
+                    .map(str::to_owned)
+            })
             .expect("Chromium says where it listens");
         // a full pipe would stop it
         std::thread::spawn(move || lines.map_while(Result::ok).for_each(drop));
 
-        let host = address.strip_prefix("ws://").unwrap().split('/').next().unwrap();
+        let host = address
+            .strip_prefix("ws://")
+            .unwrap()
+            .split('/')
+            .next()
+            .unwrap();
         let stream = TcpStream::connect(host).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let (socket, _) = tungstenite::client(address.as_str(), stream).unwrap();
-        let mut page = Self { process, socket, session: String::new(), next: 0, _profile: profile };
+        let mut page = Self {
+            process,
+            socket,
+            session: String::new(),
+            next: 0,
+            _profile: profile,
+        };
         let target = page.call("Target.createTarget", json!({"url": "about:blank"}));
         let attach = json!({"targetId": target["targetId"], "flatten": true});
         let session = page.call("Target.attachToTarget", attach)["sessionId"].take();
@@ -106,7 +128,9 @@ impl Chromium {
         if !self.session.is_empty() {
             request["sessionId"] = json!(self.session);
         }
-        self.socket.send(Message::text(request.to_string())).unwrap();
+        self.socket
+            .send(Message::text(request.to_string()))
+            .unwrap();
         loop {
             let Message::Text(text) = self.socket.read().unwrap() else {
                 continue;
@@ -125,7 +149,9 @@ impl Chromium {
             "Emulation.setDeviceMetricsOverride",
             json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false}),
         );
-        self.wait_for(&format!("innerWidth === {width} && innerHeight === {height}"));
+        self.wait_for(&format!(
+            "innerWidth === {width} && innerHeight === {height}"
+        ));
     }
 
     /// Waits until a JavaScript expression is true.
@@ -133,11 +159,16 @@ impl Chromium {
         self.eval(&format!("(async () => {{ while (!({condition})) await new Promise(r => setTimeout(r, 50)); }})()"));
     }
 
-    /// The value of a JavaScript expression, awaited where it is a promise; panics with what it threw.
+    /// The value of a JavaScript expression, awaited where it is a promise; panics with what it
+    /// threw.
     pub fn eval(&mut self, expression: &str) -> Value {
         let params = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
         let mut answer = self.call("Runtime.evaluate", params);
-        assert!(answer["exceptionDetails"].is_null(), "{expression}\n{}", answer["exceptionDetails"]);
+        assert!(
+            answer["exceptionDetails"].is_null(),
+            "{expression}\n{}",
+            answer["exceptionDetails"]
+        );
         answer["result"]["value"].take()
     }
 }

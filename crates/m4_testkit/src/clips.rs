@@ -9,7 +9,10 @@ pub fn clip(n: usize, rgb: impl Fn(usize) -> RgbImage) -> Capture {
         let intrinsics = Intrinsics::centred(rgb.width(), rgb.height(), 0.5 * rgb.width() as f64);
         CaptureFrame {
             name: format!("{i:05}"),
-            camera: Camera { intrinsics, c2w: Se3::identity() },
+            camera: Camera {
+                intrinsics,
+                c2w: Se3::identity(),
+            },
             t: i as f64,
             rgb,
             depth: None,
@@ -19,7 +22,13 @@ pub fn clip(n: usize, rgb: impl Fn(usize) -> RgbImage) -> Capture {
             camera_index: None,
         }
     };
-    Capture { frames: (0..n).map(frame).collect(), time_frames: n, duration_s: None, metric: false, tracks: None }
+    Capture {
+        frames: (0..n).map(frame).collect(),
+        time_frames: n,
+        duration_s: None,
+        metric: false,
+        tracks: None,
+    }
 }
 
 /// The same with frames in which every value is `i`.

@@ -1,4 +1,5 @@
-//! Comparisons with bounds that a zero gradient cannot satisfy, and central differences of functions with discontinuities.
+//! Comparisons with bounds that a zero gradient cannot satisfy, and central differences of
+//! functions with discontinuities.
 
 /// Agreement of two vectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,14 +15,18 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Compares `got` with `want`; two vectors of zeros agree fully, zeros and anything else not at all.
-    /// A number that is not finite never agrees.
+    /// Compares `got` with `want`; two vectors of zeros agree fully, zeros and anything else not at
+    /// all. A number that is not finite never agrees.
     pub fn of(got: &[f64], want: &[f64]) -> Self {
         assert_eq!(got.len(), want.len(), "two vectors of different lengths");
         let (mut largest, mut at, mut scale) = (0.0f64, 0, 0.0f64);
         let (mut square, mut got_square, mut want_square, mut dot) = (0.0, 0.0, 0.0, 0.0);
         for (i, (&g, &w)) in got.iter().zip(want).enumerate() {
-            let d = if g.is_finite() { (g - w).abs() } else { f64::INFINITY };
+            let d = if g.is_finite() {
+                (g - w).abs()
+            } else {
+                f64::INFINITY
+            };
             if d > largest {
                 (largest, at) = (d, i);
             }
@@ -32,7 +37,12 @@ impl Agreement {
             dot += g * w;
         }
         if got_square == 0.0 && want_square == 0.0 {
-            return Self { largest: 0.0, relative_l2: 0.0, cosine: 1.0, at };
+            return Self {
+                largest: 0.0,
+                relative_l2: 0.0,
+                cosine: 1.0,
+                at,
+            };
         }
         let cosine = dot / (got_square * want_square).sqrt();
         Self {
@@ -44,8 +54,8 @@ impl Agreement {
     }
 }
 
-/// Fails unless every entry of `got` is within `tolerance` times the largest component of `want`, the
-/// relative L2 distance is at most twice `tolerance` and the cosine at least `1 - tolerance`.
+/// Fails unless every entry of `got` is within `tolerance` times the largest component of `want`,
+/// the relative L2 distance is at most twice `tolerance` and the cosine at least `1 - tolerance`.
 pub fn assert_gradient(what: &str, got: &[f64], want: &[f64], tolerance: f64) {
     let a = Agreement::of(got, want);
     assert!(
@@ -79,7 +89,10 @@ pub fn assert_image(what: &str, got: &[f32], want: &[f64], bounds: Flips) {
     for (i, (&g, &w)) in got.iter().zip(want).enumerate() {
         let d = (f64::from(g) - w).abs();
         // written so that a NaN fails
-        assert!(d <= bounds.step, "{what}: value {i} is {g} where {w} was expected");
+        assert!(
+            d <= bounds.step,
+            "{what}: value {i} is {g} where {w} was expected"
+        );
         flips += usize::from(d > bounds.tolerance);
     }
     let allowed = (bounds.share * want.len() as f64).ceil() as usize;
@@ -96,14 +109,17 @@ pub fn assert_image(what: &str, got: &[f32], want: &[f64], bounds: Flips) {
 pub struct Side {
     /// The loss.
     pub value: f64,
-    /// A hash of every discrete decision on the way (sort order, cut-offs, clamps); a constant where
-    /// there are none.
+    /// A hash of every discrete decision on the way (sort order, cut-offs, clamps); a constant
+    /// where there are none.
     pub decisions: u64,
 }
 
 impl From<f64> for Side {
     fn from(value: f64) -> Self {
-        Self { value, decisions: 0 }
+        Self {
+            value,
+            decisions: 0,
+        }
     }
 }
 
@@ -117,11 +133,18 @@ pub struct Differences {
     pub jumps: Vec<usize>,
 }
 
-/// `(f(x + h e_i) - f(x - h e_i)) / 2h` for every `i`. Where the decisions of the two sides differ, `h`
-/// shrinks eightfold, three times at most.
-pub fn central_differences<S: Into<Side>>(x: &[f64], step: f64, mut f: impl FnMut(&[f64]) -> S) -> Differences {
+/// `(f(x + h e_i) - f(x - h e_i)) / 2h` for every `i`. Where the decisions of the two sides differ,
+/// `h` shrinks eightfold, three times at most.
+pub fn central_differences<S: Into<Side>>(
+    x: &[f64],
+    step: f64,
+    mut f: impl FnMut(&[f64]) -> S,
+) -> Differences {
     let mut at = x.to_vec();
-    let mut out = Differences { gradient: vec![0.0; x.len()], jumps: Vec::new() };
+    let mut out = Differences {
+        gradient: vec![0.0; x.len()],
+        jumps: Vec::new(),
+    };
     for i in 0..x.len() {
         let mut h = step;
         for attempt in 0..4 {
@@ -164,13 +187,21 @@ mod tests {
     #[test]
     #[should_panic(expected = "value 0")]
     fn a_nan_pixel_is_found() {
-        let bounds = Flips { tolerance: 1.0, step: 1.0, share: 1.0 };
+        let bounds = Flips {
+            tolerance: 1.0,
+            step: 1.0,
+            share: 1.0,
+        };
         assert_image("test", &[f32::NAN], &[0.0], bounds);
     }
 
     #[test]
     fn a_few_flips_are_let_through() {
-        let bounds = Flips { tolerance: 1e-6, step: 0.01, share: 0.25 };
+        let bounds = Flips {
+            tolerance: 1e-6,
+            step: 0.01,
+            share: 0.25,
+        };
         assert_image("test", &[0.0, 0.0, 0.005, 0.0], &[0.0; 4], bounds);
     }
 

@@ -18,8 +18,8 @@ pub struct FixtureCamera {
     pub tan: [f64; 2],
 }
 
-/// A splat, or a gradient with respect to one. Which of the optional fields are there depends on the
-/// model: `ql` and `qr` (rotor), `q` and `v` (velocity), none (isotropic).
+/// A splat, or a gradient with respect to one. Which of the optional fields are there depends on
+/// the model: `ql` and `qr` (rotor), `q` and `v` (velocity), none (isotropic).
 #[derive(Debug, Clone, Deserialize)]
 pub struct FixtureSplat {
     /// Mean.
@@ -92,7 +92,11 @@ pub struct GradientCase {
 impl GradientCase {
     /// For messages.
     pub fn name(&self) -> String {
-        format!("{}{}", self.model, if self.mip { " with Mip filter" } else { "" })
+        format!(
+            "{}{}",
+            self.model,
+            if self.mip { " with Mip filter" } else { "" }
+        )
     }
 }
 
@@ -119,8 +123,12 @@ pub struct GradientFixtures {
 
 /// Loads the gradient fixtures.
 pub fn gradient_fixtures() -> GradientFixtures {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/gradients/4dgs_gradients.json"));
-    let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("cannot read {}: {e}", path.display()));
+    let path = PathBuf::from(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../fixtures/gradients/4dgs_gradients.json"
+    ));
+    let text =
+        fs::read_to_string(&path).unwrap_or_else(|e| panic!("cannot read {}: {e}", path.display()));
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{} is broken: {e}", path.display()))
 }
 
@@ -133,7 +141,14 @@ mod tests {
         let fixtures = gradient_fixtures();
         assert_eq!(fixtures.cases.len(), 6);
         for case in &fixtures.cases {
-            assert_eq!((case.splats.len(), case.grad_splats.len(), case.grad_means2d.len()), (9, 9, 9));
+            assert_eq!(
+                (
+                    case.splats.len(),
+                    case.grad_splats.len(),
+                    case.grad_means2d.len()
+                ),
+                (9, 9, 9)
+            );
             assert_eq!((case.gt.len(), case.gt[0].len()), (18, 22));
             assert!(case.splats.iter().all(|s| s.sh.len() == 48));
         }

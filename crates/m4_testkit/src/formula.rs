@@ -1,7 +1,7 @@
 //! Synthetic weights and inputs from a formula, so that a fixture stores only outputs.
 //!
-//! The rule is section 1 of the README of the golden fixtures: FNV-1a of the tensor's name, SplitMix64 of key and index, and a
-//! scale that follows from the name's last part and the shape.
+//! The rule is section 1 of the README of the golden fixtures: FNV-1a of the tensor's name,
+//! SplitMix64 of key and index, and a scale that follows from the name's last part and the shape.
 
 use safetensors::{Dtype, serialize_to_file, tensor::TensorView};
 use std::collections::HashMap;
@@ -22,9 +22,12 @@ pub fn formula(name: &str, n: usize) -> impl Iterator<Item = f64> + use<> {
     })
 }
 
-/// A random input that a fixture describes instead of holding it: `offset + scale u` of `n` numbers.
+/// A random input that a fixture describes instead of holding it: `offset + scale u` of `n`
+/// numbers.
 pub fn formula_input(key: &str, offset: f64, scale: f64, n: usize) -> Vec<f32> {
-    formula(key, n).map(|u| (offset + scale * u) as f32).collect()
+    formula(key, n)
+        .map(|u| (offset + scale * u) as f32)
+        .collect()
 }
 
 /// A checkpoint by the rule.
@@ -42,17 +45,29 @@ struct FormulaTensor {
 }
 
 impl FormulaWeights {
-    /// Of the tensors of `list`: lines of a name and a shape, separated by spaces. A constant of the official module that the rule
-    /// leaves alone (`image_mean`, `image_std`) is that of ImageNet.
+    /// Of the tensors of `list`: lines of a name and a shape, separated by spaces. A constant of
+    /// the official module that the rule leaves alone (`image_mean`, `image_std`) is that of
+    /// ImageNet.
     pub fn of_keys(list: &str) -> Self {
         let tensor = |line: &str| {
             let mut words = line.split_whitespace();
-            let name = words.next().expect("a line is a name and a shape").to_owned();
-            let shape: Vec<usize> = words.map(|w| w.parse().expect("a shape is numbers")).collect();
+            let name = words
+                .next()
+                .expect("a line is a name and a shape")
+                .to_owned();
+            let shape: Vec<usize> = words
+                .map(|w| w.parse().expect("a shape is numbers"))
+                .collect();
             let values = (!name.ends_with(".num_batches_tracked")).then(|| fill(&name, &shape));
-            FormulaTensor { name, shape, values }
+            FormulaTensor {
+                name,
+                shape,
+                values,
+            }
         };
-        Self { tensors: list.lines().map(tensor).collect() }
+        Self {
+            tensors: list.lines().map(tensor).collect(),
+        }
     }
 
     fn at(&mut self, name: &str) -> &mut Vec<f32> {
@@ -75,7 +90,8 @@ impl FormulaWeights {
         self
     }
 
-    /// Multiplies each of the values of `name`, in 32 bits, by what `factor` says of its row-major index.
+    /// Multiplies each of the values of `name`, in 32 bits, by what `factor` says of its row-major
+    /// index.
     pub fn scaled_by(mut self, name: &str, factor: impl Fn(usize) -> f32) -> Self {
         let values = self.at(name).iter_mut().enumerate();
         values.for_each(|(i, x)| *x *= factor(i));
@@ -91,10 +107,12 @@ impl FormulaWeights {
     pub fn write_with(&self, metadata: Option<(&str, &str)>, path: &Path) {
         let bytes: Vec<(Dtype, Vec<u8>)> = self.tensors.iter().map(FormulaTensor::bytes).collect();
         let views = self.tensors.iter().zip(&bytes).map(|(t, (dtype, bytes))| {
-            let view = TensorView::new(*dtype, t.shape.clone(), bytes).expect("shape and values fit");
+            let view =
+                TensorView::new(*dtype, t.shape.clone(), bytes).expect("shape and values fit");
             (t.name.as_str(), view)
         });
-        let metadata = metadata.map(|(name, text)| HashMap::from([(name.to_owned(), text.to_owned())]));
+        let metadata =
+            metadata.map(|(name, text)| HashMap::from([(name.to_owned(), text.to_owned())]));
         serialize_to_file(views, metadata, path).expect("the checkpoint can be written");
     }
 }
@@ -102,7 +120,10 @@ impl FormulaWeights {
 impl FormulaTensor {
     fn bytes(&self) -> (Dtype, Vec<u8>) {
         match &self.values {
-            Some(values) => (Dtype::F32, values.iter().flat_map(|v| v.to_le_bytes()).collect()),
+            Some(values) => (
+                Dtype::F32,
+                values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+            ),
             None => (Dtype::I64, 7i64.to_le_bytes().to_vec()),
         }
     }
@@ -147,12 +168,25 @@ mod tests {
         let bits: Vec<u32> = conv[..3].iter().map(|x| x.to_bits()).collect();
         assert_eq!(bits, [0x3d59_58f5, 0xbd3e_e038, 0xbe05_040e]);
         // printed with eight digits
-        let near = |got: &[f32], want: [f32; 2]| got.iter().zip(want).all(|(a, b)| (a - b).abs() < 4e-8);
+        let near =
+            |got: &[f32], want: [f32; 2]| got.iter().zip(want).all(|(a, b)| (a - b).abs() < 4e-8);
         let bias = fill("fnet.conv1.bias", &[32]);
-        assert!(near(&bias[..2], [-0.017_122_697, -0.008_338_756]), "{:?}", &bias[..2]);
+        assert!(
+            near(&bias[..2], [-0.017_122_697, -0.008_338_756]),
+            "{:?}",
+            &bias[..2]
+        );
         let norm = fill("pretrained.blocks.0.norm1.weight", &[384]);
-        assert!(near(&norm[..2], [0.909_698_5, 1.038_620_7]), "{:?}", &norm[..2]);
+        assert!(
+            near(&norm[..2], [0.909_698_5, 1.038_620_7]),
+            "{:?}",
+            &norm[..2]
+        );
         let position = fill("pretrained.pos_embed", &[1, 1370, 384]);
-        assert!(near(&position[..2], [0.292_686_97, -0.041_432_94]), "{:?}", &position[..2]);
+        assert!(
+            near(&position[..2], [0.292_686_97, -0.041_432_94]),
+            "{:?}",
+            &position[..2]
+        );
     }
 }

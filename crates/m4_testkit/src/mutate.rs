@@ -29,8 +29,18 @@ pub fn mutate(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
         2 | 3 => {
             // a count that is far too large, of either byte order
             let (at, width) = (place(rng), [1, 2, 4, 8][rng.below(4)]);
-            let value: u64 =
-                [u64::MAX, 1 << 31, 0x7fff_ffff, 1 << 20, 60_000, 1 << 40, 0, 1, 0x8000, 255][rng.below(10)];
+            let value: u64 = [
+                u64::MAX,
+                1 << 31,
+                0x7fff_ffff,
+                1 << 20,
+                60_000,
+                1 << 40,
+                0,
+                1,
+                0x8000,
+                255,
+            ][rng.below(10)];
             let value = if rng.below(2) == 0 {
                 value.to_le_bytes()
             } else {
@@ -53,15 +63,29 @@ pub fn mutate(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
         }
         6 => {
             let at = place(rng);
-            let text = [&b"1e308"[..], b"-", b"NaN", b"null", b"99999999999999999999", b"[[[[", b"\xff\xfe", b"\n"]
-                [rng.below(8)];
+            let text = [
+                &b"1e308"[..],
+                b"-",
+                b"NaN",
+                b"null",
+                b"99999999999999999999",
+                b"[[[[",
+                b"\xff\xfe",
+                b"\n",
+            ][rng.below(8)];
             bytes.splice(at..(at + text.len()).min(n), text.iter().copied());
             "other text"
         }
         7 => {
             // floats that are no numbers, or enormous
             let at = place(rng) & !3;
-            let value = [f32::NAN, f32::INFINITY, f32::MAX, -f32::MAX, f32::MIN_POSITIVE / 2.0][rng.below(5)];
+            let value = [
+                f32::NAN,
+                f32::INFINITY,
+                f32::MAX,
+                -f32::MAX,
+                f32::MIN_POSITIVE / 2.0,
+            ][rng.below(5)];
             let width = 4.min(n - at);
             bytes[at..at + width].copy_from_slice(&value.to_le_bytes()[..width]);
             "another float"
@@ -87,7 +111,10 @@ pub struct StopAtPoll {
 impl StopAtPoll {
     /// Answers no this many times.
     pub fn after(polls: usize) -> Self {
-        Self { at: polls, asked: AtomicUsize::new(0) }
+        Self {
+            at: polls,
+            asked: AtomicUsize::new(0),
+        }
     }
 
     /// Number of polls.

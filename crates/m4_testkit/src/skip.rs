@@ -1,13 +1,13 @@
-//! What a machine may lack: tests that cannot run are reported in a list that is visible to the user. The root of the repository, and
-//! large inputs in a folder next to it, which may be absent.
+//! What a machine may lack: tests that cannot run are reported in a list that is visible to the
+//! user. The root of the repository, and large inputs in a folder next to it, which may be absent.
 
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::panic::Location;
 use std::path::PathBuf;
 
-/// The file to which every skipped test is added, a line each: need, hint, test, where, why, separated by tabs.
-/// `cargo xtask test` sets it, and prints the lines when the tests are done.
+/// The file to which every skipped test is added, a line each: need, hint, test, where, why,
+/// separated by tabs. `cargo xtask test` sets it, and prints the lines when the tests are done.
 pub const SKIPPED_VARIABLE: &str = "MINUTE4D_SKIPPED";
 
 /// Requirement of a test that a machine may lack.
@@ -39,29 +39,50 @@ impl Need {
     pub fn name_and_hint(self) -> (&'static str, &'static str) {
         match self {
             Self::Ffmpeg => ("ffmpeg", "install ffmpeg (apt-get install ffmpeg)"),
-            Self::Chromium => {
-                ("chromium", "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM")
-            }
-            Self::Vulkan => ("vulkan", "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)"),
-            Self::HalfPrecision => ("half-precision", "run the tests on a GPU that computes with 16 bits"),
-            Self::Npm => ("npm", "install Node.js with npm, and let it reach its registry"),
-            Self::Pip => ("pip", "install Python with pip (apt-get install python3-pip)"),
-            Self::Shared => ("shared", "put the folder `shared` with the benchmark scenes beside the repository"),
+            Self::Chromium => (
+                "chromium",
+                "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM",
+            ),
+            Self::Vulkan => (
+                "vulkan",
+                "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)",
+            ),
+            Self::HalfPrecision => (
+                "half-precision",
+                "run the tests on a GPU that computes with 16 bits",
+            ),
+            Self::Npm => (
+                "npm",
+                "install Node.js with npm, and let it reach its registry",
+            ),
+            Self::Pip => (
+                "pip",
+                "install Python with pip (apt-get install python3-pip)",
+            ),
+            Self::Shared => (
+                "shared",
+                "put the folder `shared` with the benchmark scenes beside the repository",
+            ),
             Self::Weights => ("weights", "get the weights (docs/models.md)"),
             Self::Instructions => ("instructions", "run the tests on a processor that has them"),
         }
     }
 }
 
-/// Says that the running test, or a part of it, cannot run here: on stderr, which the harness hides, and in the file that
-/// [`SKIPPED_VARIABLE`] names. The test returns after it.
+/// Says that the running test, or a part of it, cannot run here: on stderr, which the harness
+/// hides, and in the file that [`SKIPPED_VARIABLE`] names. The test returns after it.
 #[track_caller]
 #[expect(clippy::print_stderr, reason = "a test that does not run says so")]
 pub fn skip(need: Need, why: &str) {
     let thread = std::thread::current();
     let test = thread.name().unwrap_or("a test");
     let place = Location::caller();
-    let line = line(need, test, &format!("{}:{}", place.file(), place.line()), why);
+    let line = line(
+        need,
+        test,
+        &format!("{}:{}", place.file(), place.line()),
+        why,
+    );
     eprint!("cannot run here: {line}");
     if let Some(path) = std::env::var_os(SKIPPED_VARIABLE) {
         let added = OpenOptions::new()
@@ -86,20 +107,23 @@ pub fn repository() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
 }
 
-/// Path of `name` in `shared` (such as `bench/quad-1`), beside the repository's root; `None` where this machine does
-/// not have it, and the test is listed as skipped.
+/// Path of `name` in `shared` (such as `bench/quad-1`), beside the repository's root; `None` where
+/// this machine does not have it, and the test is listed as skipped.
 #[track_caller]
 pub fn shared(name: &str) -> Option<PathBuf> {
     let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")).join(name);
     if path.exists() {
         return Some(path);
     }
-    skip(Need::Shared, &format!("there is no shared/{name} beside the repository"));
+    skip(
+        Need::Shared,
+        &format!("there is no shared/{name} beside the repository"),
+    );
     None
 }
 
-/// Runs `test` on every level of `available` and lists each name of `wanted` that this machine lacks as skipped, so that a
-/// run shows what it did not cover.
+/// Runs `test` on every level of `available` and lists each name of `wanted` that this machine
+/// lacks as skipped, so that a run shows what it did not cover.
 #[track_caller]
 pub fn on_every_level<L: Copy>(
     available: &[L],
@@ -107,8 +131,14 @@ pub fn on_every_level<L: Copy>(
     wanted: &[&str],
     mut test: impl FnMut(L),
 ) {
-    assert!(!available.is_empty(), "no SIMD level: nothing would be tested");
-    for missing in wanted.iter().filter(|w| !available.iter().any(|&l| name(l) == **w)) {
+    assert!(
+        !available.is_empty(),
+        "no SIMD level: nothing would be tested"
+    );
+    for missing in wanted
+        .iter()
+        .filter(|w| !available.iter().any(|&l| name(l) == **w))
+    {
         skip(Need::Instructions, &format!("not tested on {missing}"));
     }
     for &level in available {
@@ -122,10 +152,20 @@ mod tests {
 
     #[test]
     fn a_skipped_test_is_one_line_of_five_fields() {
-        let line = line(Need::Ffmpeg, "video::plays", "tests/video.rs:7", "not\tfound\nanywhere");
+        let line = line(
+            Need::Ffmpeg,
+            "video::plays",
+            "tests/video.rs:7",
+            "not\tfound\nanywhere",
+        );
         let fields: Vec<&str> = line.trim_end_matches('\n').split('\t').collect();
-        let expected =
-            ["ffmpeg", Need::Ffmpeg.name_and_hint().1, "video::plays", "tests/video.rs:7", "not found anywhere"];
+        let expected = [
+            "ffmpeg",
+            Need::Ffmpeg.name_and_hint().1,
+            "video::plays",
+            "tests/video.rs:7",
+            "not found anywhere",
+        ];
         assert_eq!(fields, expected);
     }
 

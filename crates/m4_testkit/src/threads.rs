@@ -6,7 +6,10 @@ use std::fmt::Debug;
 #[track_caller]
 pub fn same_on_any_threads<T: PartialEq + Debug + Send>(make: impl Fn() -> T + Sync) -> T {
     let [one, two, five] = [1, 2, 5].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads can be started");
         pool.install(&make)
     });
     assert_eq!(one, two);

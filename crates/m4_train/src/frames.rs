@@ -25,7 +25,10 @@ pub(crate) struct FrameStore<'a> {
 
 impl<'a> FrameStore<'a> {
     pub fn new(capture: &'a Capture, budget_mb: usize) -> Self {
-        let frames = capture.frames.iter().map(|frame| Stored { frame: Some(frame), cached: None });
+        let frames = capture.frames.iter().map(|frame| Stored {
+            frame: Some(frame),
+            cached: None,
+        });
         Self {
             frames: frames.collect(),
             budget: budget_mb * 1_000_000,
@@ -37,8 +40,17 @@ impl<'a> FrameStore<'a> {
 
     /// Of images that are prepared.
     pub fn given(targets: Vec<Target>) -> Self {
-        let frames = targets.into_iter().map(|target| Stored { frame: None, cached: Some(target) });
-        Self { frames: frames.collect(), budget: 0, used: 0, spare: Target::default(), spare_of: None }
+        let frames = targets.into_iter().map(|target| Stored {
+            frame: None,
+            cached: Some(target),
+        });
+        Self {
+            frames: frames.collect(),
+            budget: 0,
+            used: 0,
+            spare: Target::default(),
+            spare_of: None,
+        }
     }
 
     /// Prepares the images that are kept, as the first epoch would.
@@ -92,11 +104,17 @@ fn prepared(frame: &CaptureFrame) -> Target {
 
 fn prepare(frame: &CaptureFrame, out: &mut Target) {
     let (w, h) = frame.rgb.size();
-    out.replace(w, h, |planes| by_rows(w, planes, |y, row| split(frame.rgb.row(y), row)));
+    out.replace(w, h, |planes| {
+        by_rows(w, planes, |y, row| split(frame.rgb.row(y), row))
+    });
 }
 
 /// Calls `fill` with each row of three planes of `width` columns.
-fn by_rows<T: Send>(width: usize, planes: [&mut [T]; 3], fill: impl Fn(usize, [&mut [T]; 3]) + Sync) {
+fn by_rows<T: Send>(
+    width: usize,
+    planes: [&mut [T]; 3],
+    fill: impl Fn(usize, [&mut [T]; 3]) + Sync,
+) {
     let [red, green, blue] = planes.map(|plane| plane.par_chunks_mut(width.max(1)));
     let rows = red.zip(green).zip(blue).enumerate();
     rows.for_each(|(y, ((red, green), blue))| fill(y, [red, green, blue]));
@@ -118,7 +136,10 @@ mod tests {
     fn frames_beyond_the_budget_are_prepared_anew() {
         let frame = |i: usize| CaptureFrame {
             name: i.to_string(),
-            camera: Camera { intrinsics: Intrinsics::centred(5, 4, 5.0), c2w: Se3::identity() },
+            camera: Camera {
+                intrinsics: Intrinsics::centred(5, 4, 5.0),
+                c2w: Se3::identity(),
+            },
             t: i as f64,
             rgb: Plane::from_fn(5, 4, |x, y| [(x * 10) as u8, (y * 20) as u8, i as u8]),
             depth: None,
@@ -139,7 +160,10 @@ mod tests {
             for i in [0, 1, 2, 1, 1] {
                 let rgb = store.target(i).rgb();
                 assert!((rgb[2][0] * 255.0 - i as f32).abs() < 1e-4);
-                assert!((rgb[0][3] * 255.0 - 30.0).abs() < 1e-4 && (rgb[1][19] * 255.0 - 60.0).abs() < 1e-4);
+                assert!(
+                    (rgb[0][3] * 255.0 - 30.0).abs() < 1e-4
+                        && (rgb[1][19] * 255.0 - 60.0).abs() < 1e-4
+                );
             }
         }
         let handed = targets(&capture);

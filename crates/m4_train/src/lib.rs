@@ -1,11 +1,12 @@
 //! The optimisation loop: schedule, loss, sparse Adam, loss-guided density control, checkpoints.
 //!
-//! [`Trainer`] takes a capture and its first splats and makes them look like the frames: pick a frame
-//! in an order drawn again for each epoch, draw it, compare (L1 + SSIM), step every splat that was seen. Every
-//! hundred steps [`density`] looks at what is still wrong and adds or removes splats there.
+//! [`Trainer`] takes a capture and its first splats and makes them look like the frames: pick a
+//! frame in an order drawn again for each epoch, draw it, compare (L1 + SSIM), step every splat
+//! that was seen. Every hundred steps [`density`] looks at what is still wrong and adds or removes
+//! splats there.
 //!
-//! Steps are taken by a [`backend`], the CPU or a GPU ([`Trainer::use_backend`]); schedule, choice of frames and checkpoints are the same for
-//! both.
+//! Steps are taken by a [`backend`], the CPU or a GPU ([`Trainer::use_backend`]); schedule, choice
+//! of frames and checkpoints are the same for both.
 //!
 //! A run is a function of capture, first splats, settings and seed: the same bits come out for any
 //! number of threads, and a run that was stopped, saved ([`Trainer::state`]) and resumed

@@ -24,8 +24,8 @@ pub struct MetricsEvent {
     pub touched: f64,
     /// Seconds of training in this process.
     pub seconds: f64,
-    /// Seconds of processor time of all threads of this process during those: what training costs however busy the machine
-    /// is. 0 where the system does not count it.
+    /// Seconds of processor time of all threads of this process during those: what training costs
+    /// however busy the machine is. 0 where the system does not count it.
     #[serde(default)]
     pub processor_seconds: f64,
 }

@@ -16,22 +16,23 @@ use std::time::Instant;
 /// Trial steps; the first of them prepare memory and are not counted.
 const STEPS: usize = 16;
 const WARM_UP: usize = 4;
-/// Share of the time that is planned with; the rest is for density control, checks, checkpoints and saving the scene, and for what
-/// other programs take away.
+/// Share of the time that is planned with; the rest is for density control, checks, checkpoints and
+/// saving the scene, and for what other programs take away.
 const PLANNED: f64 = 0.92;
 /// Trial steps have at most this multiple of the first splats, whatever the settings allow.
 const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
-/// The paper's number. Held-out views gain tenths of a decibel from 200 to as many; a GPU would take tens of thousands in a minute.
+/// The paper's number. Held-out views gain tenths of a decibel from 200 to as many; a GPU would
+/// take tens of thousands in a minute.
 const MOST: usize = 5000;
 
-/// The number of iterations that take `seconds()`, asked after the trial steps, on rayon's current pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
-/// and on one with all colour coefficients. A multiple of 10, at least 50 and at most 5,000. Unlike everything else in this crate it depends on the
-/// machine: with the number that it returns,
-/// training is a function of its inputs again.
-/// Once `stopped()` no more steps are taken, and the number means nothing.
-/// Fails as [`Trainer::new`] and [`Trainer::run`].
+/// The number of iterations that take `seconds()`, asked after the trial steps, on rayon's current
+/// pool, or on a `backend`: trial steps on a copy of `splats` with what density control may add,
+/// and on one with all colour coefficients. A multiple of 10, at least 50 and at most 5,000. Unlike
+/// everything else in this crate it depends on the machine: with the number that it returns,
+/// training is a function of its inputs again. Once `stopped()` no more steps are taken, and the
+/// number means nothing. Fails as [`Trainer::new`] and [`Trainer::run`].
 pub fn affordable_iterations(
     capture: &Capture,
     splats: &Splats,
@@ -64,9 +65,10 @@ fn count(seconds: f64, step_s: f64, fits: f64) -> usize {
     (all / 10 * 10).clamp(LEAST, MOST)
 }
 
-/// The splats that density control may make of these: most of a run has as many. What is wrong is mostly in what
-/// is static, and added up over the pixels, so the static rows that look largest (`size`, one per row) are there twice;
-/// where each of them twice is not enough, all rows are repeated, as often as it takes.
+/// The splats that density control may make of these: most of a run has as many. What is wrong is
+/// mostly in what is static, and added up over the pixels, so the static rows that look largest
+/// (`size`, one per row) are there twice; where each of them twice is not enough, all rows are
+/// repeated, as often as it takes.
 fn grown(splats: &Splats, size: &[f32], config: &TrainConfig) -> Result<Splats, TrainError> {
     let (n, n_static) = (splats.n(), splats.n_static());
     let growth = match config.density.enabled {
@@ -80,21 +82,30 @@ fn grown(splats: &Splats, size: &[f32], config: &TrainConfig) -> Result<Splats, 
         rows.extend_from_within(..wanted - n);
         rows.extend(n_static as u32..n as u32);
     } else {
-        let evenly = |first: usize, of: usize, count: usize| (0..count).map(move |i| (first + i * of / count) as u32);
+        let evenly = |first: usize, of: usize, count: usize| {
+            (0..count).map(move |i| (first + i * of / count) as u32)
+        };
         let statics = (n_static as f64 * growth) as usize;
-        rows = evenly(0, n_static, statics).chain(evenly(n_static, n - n_static, wanted - statics)).collect();
+        rows = evenly(0, n_static, statics)
+            .chain(evenly(n_static, n - n_static, wanted - statics))
+            .collect();
     }
     Ok(splats.gather(&rows)?)
 }
 
-/// How large each splat looks from the camera next to it: standard deviation along its longest axis over distance.
+/// How large each splat looks from the camera next to it: standard deviation along its longest axis
+/// over distance.
 fn apparent_sizes(capture: &Capture, splats: &Splats) -> Vec<f32> {
     let scale = SceneScale::of(capture);
     let mean = [0, 1, 2].map(|k| splats.column(Column::Mean, k));
-    let scales: Vec<&[f32]> =
-        (0..splats.layout().range(Column::LogScale).len()).map(|k| splats.column(Column::LogScale, k)).collect();
+    let scales: Vec<&[f32]> = (0..splats.layout().range(Column::LogScale).len())
+        .map(|k| splats.column(Column::LogScale, k))
+        .collect();
     let one = |i: usize| {
-        let largest = scales.iter().map(|c| c[i]).fold(f32::NEG_INFINITY, f32::max);
+        let largest = scales
+            .iter()
+            .map(|c| c[i])
+            .fold(f32::NEG_INFINITY, f32::max);
         largest.exp() / scale.nearest_camera(mean.map(|c| c[i]))
     };
     (0..splats.n_static()).into_par_iter().map(one).collect()
@@ -112,11 +123,17 @@ fn trial(
     let config = TrainConfig {
         // never the last: that one does more
         iterations: STEPS + 1,
-        density: DensityConfig { enabled: false, ..config.density.clone() },
+        density: DensityConfig {
+            enabled: false,
+            ..config.density.clone()
+        },
         // those of the splats
         colour_degree: ColourDegree::default(),
         colour_fit_rounds: 0,
-        refine: RefineConfig { from: 0, ..config.refine.clone() },
+        refine: RefineConfig {
+            from: 0,
+            ..config.refine.clone()
+        },
         ..config.clone()
     };
     if stopped() {
@@ -124,8 +141,11 @@ fn trial(
     }
     let mut trainer = Trainer::new(capture, splats.clone(), config, level)?;
     if let Some(make) = backend {
-        let backend =
-            make().map_err(|BackendError(why)| TrainError::Device { why, iteration: 0, good_iteration: 0 })?;
+        let backend = make().map_err(|BackendError(why)| TrainError::Device {
+            why,
+            iteration: 0,
+            good_iteration: 0,
+        })?;
         trainer.use_backend(backend)?;
     }
     let counted = STEPS - WARM_UP;
@@ -146,7 +166,10 @@ fn trial(
         Ok(start.elapsed().as_secs_f64() / count as f64)
     };
     steps(WARM_UP)?;
-    let mut times = parts.into_iter().map(&mut steps).collect::<Result<Vec<f64>, _>>()?;
+    let mut times = parts
+        .into_iter()
+        .map(&mut steps)
+        .collect::<Result<Vec<f64>, _>>()?;
     Ok(median(&mut times).unwrap_or(0.0))
 }
 
@@ -158,12 +181,23 @@ mod tests {
 
     #[test]
     fn a_budget_ends_at_the_papers_number() {
-        assert_eq!([count(10.0, 0.01, 12.0), count(60.0, 4e-4, 64.0), count(1.0, 0.5, 0.0)], [900, 5000, 50]);
+        assert_eq!(
+            [
+                count(10.0, 0.01, 12.0),
+                count(60.0, 4e-4, 64.0),
+                count(1.0, 0.5, 0.0)
+            ],
+            [900, 5000, 50]
+        );
     }
 
     #[test]
     fn trial_steps_have_as_many_splats_as_the_run_will() {
-        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
         let mut splats = Splats::zeros(layout, 100, 400);
         let size: Vec<f32> = (0..100).map(|i| (i % 10) as f32).collect();
         splats.column_mut(Column::Mean, 0)[..100].copy_from_slice(&size);
@@ -173,10 +207,18 @@ mod tests {
         let more = grown(&splats, &config);
         assert_eq!((more.n_static(), more.n_dynamic()), (150, 400));
         let sum: f32 = more.column(Column::Mean, 0)[..150].iter().sum();
-        assert_eq!(sum, 450.0 + 10.0 * (9.0 + 8.0 + 7.0 + 6.0 + 5.0), "the largest are there twice");
+        assert_eq!(
+            sum,
+            450.0 + 10.0 * (9.0 + 8.0 + 7.0 + 6.0 + 5.0),
+            "the largest are there twice"
+        );
         config.density.max_growth = 3.0;
         let more = grown(&splats, &config);
-        assert_eq!((more.n_static(), more.n_dynamic()), (300, 1200), "every row thrice");
+        assert_eq!(
+            (more.n_static(), more.n_dynamic()),
+            (300, 1200),
+            "every row thrice"
+        );
         config.density.max_growth = 1e9;
         assert_eq!(grown(&splats, &config).n(), 2000);
         config.density.enabled = false;

@@ -17,7 +17,11 @@ pub(crate) struct SmallAdam<const N: usize> {
 
 impl<const N: usize> Default for SmallAdam<N> {
     fn default() -> Self {
-        Self { m: [0.0; N], v: [0.0; N], step: 0 }
+        Self {
+            m: [0.0; N],
+            v: [0.0; N],
+            step: 0,
+        }
     }
 }
 
@@ -90,7 +94,10 @@ impl Refinement {
         median_depth: f64,
     ) {
         if config.poses && frame > 0 {
-            let (t, r) = (f64::from(config.translation_lr) * median_depth, f64::from(config.rotation_lr));
+            let (t, r) = (
+                f64::from(config.translation_lr) * median_depth,
+                f64::from(config.rotation_lr),
+            );
             let [a, b, c] = gradient.tau;
             let [d, e, f] = gradient.omega;
             let fit = &mut self.frames[frame];
@@ -105,7 +112,8 @@ impl Refinement {
         }
     }
 
-    /// One step of the exposure of `frame` along its gradient: rows of the matrix, each followed by its offset.
+    /// One step of the exposure of `frame` along its gradient: rows of the matrix, each followed by
+    /// its offset.
     pub fn step_exposure(&mut self, config: &RefineConfig, frame: usize, mut d: [f64; 12]) {
         let fit = &mut self.frames[frame];
         let old = fit.exposure;
@@ -127,8 +135,8 @@ impl Refinement {
     }
 }
 
-/// The gradient with respect to an exposure: rows of the matrix, each followed by its offset. `g` is that with respect to the corrected
-/// colours, `rgb` the colours before.
+/// The gradient with respect to an exposure: rows of the matrix, each followed by its offset. `g`
+/// is that with respect to the corrected colours, `rgb` the colours before.
 pub(crate) fn exposure_gradient(rgb: &[Vec<f32>; 3], g: &[Vec<f32>; 3]) -> [f64; 12] {
     let mut d = [0.0f64; 12];
     for i in 0..rgb[0].len() {
@@ -159,7 +167,9 @@ pub(crate) fn expose(exposure: &Exposure, rgb: &[Vec<f32>; 3], out: &mut [Vec<f3
     for (r, plane) in out.iter_mut().enumerate() {
         let [a, b, c] = exposure.matrix[r];
         plane.clear();
-        plane.extend((0..n).map(|i| a * rgb[0][i] + b * rgb[1][i] + c * rgb[2][i] + exposure.offset[r]));
+        plane.extend(
+            (0..n).map(|i| a * rgb[0][i] + b * rgb[1][i] + c * rgb[2][i] + exposure.offset[r]),
+        );
     }
 }
 
@@ -171,18 +181,38 @@ mod tests {
 
     #[test]
     fn exposure_finds_a_colour_cast() {
-        let camera = Camera { intrinsics: Intrinsics::centred(8, 8, 8.0), c2w: Se3::identity() };
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(8, 8, 8.0),
+            c2w: Se3::identity(),
+        };
         let mut fit = Refinement::new(std::iter::once(camera));
-        let config = RefineConfig { exposure: true, exposure_lr: 5e-3, exposure_pull: 0.0, ..RefineConfig::default() };
-        let rgb: [Vec<f32>; 3] = std::array::from_fn(|c| (0..64).map(|i| ((i * (c + 3)) % 17) as f32 / 17.0).collect());
-        let cast = Exposure { matrix: [[0.8, 0.1, 0.0], [0.0, 1.1, 0.0], [0.0, 0.0, 0.9]], offset: [0.02, 0.0, 0.05] };
+        let config = RefineConfig {
+            exposure: true,
+            exposure_lr: 5e-3,
+            exposure_pull: 0.0,
+            ..RefineConfig::default()
+        };
+        let rgb: [Vec<f32>; 3] = std::array::from_fn(|c| {
+            (0..64)
+                .map(|i| ((i * (c + 3)) % 17) as f32 / 17.0)
+                .collect()
+        });
+        let cast = Exposure {
+            matrix: [[0.8, 0.1, 0.0], [0.0, 1.1, 0.0], [0.0, 0.0, 0.9]],
+            offset: [0.02, 0.0, 0.05],
+        };
         let (mut want, mut got) = (rgb.clone(), rgb.clone());
         expose(&cast, &rgb, &mut want);
         let mut error = 0.0;
         for _ in 0..2000 {
             expose(&fit.frames[0].exposure, &rgb, &mut got);
-            let g: [Vec<f32>; 3] =
-                std::array::from_fn(|c| got[c].iter().zip(&want[c]).map(|(a, b)| (a - b) / 64.0).collect());
+            let g: [Vec<f32>; 3] = std::array::from_fn(|c| {
+                got[c]
+                    .iter()
+                    .zip(&want[c])
+                    .map(|(a, b)| (a - b) / 64.0)
+                    .collect()
+            });
             error = g.iter().flatten().map(|v| v.abs()).fold(0.0, f32::max) * 64.0;
             fit.step_exposure(&config, 0, exposure_gradient(&rgb, &g));
         }
@@ -191,16 +221,28 @@ mod tests {
 
     #[test]
     fn the_pose_of_the_first_frame_stays_fixed() {
-        let camera = Camera { intrinsics: Intrinsics::centred(8, 8, 8.0), c2w: Se3::identity() };
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(8, 8, 8.0),
+            c2w: Se3::identity(),
+        };
         let mut fit = Refinement::new([camera, camera].into_iter());
-        let config = RefineConfig { poses: true, ..RefineConfig::default() };
-        let gradient =
-            m4_kernels::CameraGradient { tau: [1.0, 0.0, 0.0], omega: [0.0, -2.0, 0.0], intrinsics: [0.0; 4] };
+        let config = RefineConfig {
+            poses: true,
+            ..RefineConfig::default()
+        };
+        let gradient = m4_kernels::CameraGradient {
+            tau: [1.0, 0.0, 0.0],
+            omega: [0.0, -2.0, 0.0],
+            intrinsics: [0.0; 4],
+        };
         for frame in 0..2 {
             fit.step(&config, frame, &camera, &gradient, 2.0);
         }
         assert_eq!(fit.frames[0].camera, camera);
         let w2c = fit.frames[1].camera.w2c();
-        assert!((w2c.translation.x + 1e-4).abs() < 1e-9, "against the gradient, one step");
+        assert!(
+            (w2c.translation.x + 1e-4).abs() < 1e-9,
+            "against the gradient, one step"
+        );
     }
 }

@@ -4,11 +4,15 @@ use crate::{config::RateConfig, scale::SceneScale};
 use m4_core::{Column, CounterRng, SplatLayout};
 use m4_kernels::adam::nodes::NodeRates;
 
-/// `exp((1 - x) ln a + x ln b)`, log-linear from `a` to `b` with `x` in 0..1 (docs/spec/optimiser.md 3);
-/// linear when one of them is 0.
+/// `exp((1 - x) ln a + x ln b)`, log-linear from `a` to `b` with `x` in 0..1
+/// (docs/spec/optimiser.md 3); linear when one of them is 0.
 pub(crate) fn log_linear(a: f32, b: f32, x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
-    if a > 0.0 && b > 0.0 { ((1.0 - x) * a.ln() + x * b.ln()).exp() } else { (1.0 - x) * a + x * b }
+    if a > 0.0 && b > 0.0 {
+        ((1.0 - x) * a.ln() + x * b.ln()).exp()
+    } else {
+        (1.0 - x) * a + x * b
+    }
 }
 
 /// How far iteration `i` of `n` is, 0..1.
@@ -16,7 +20,8 @@ pub(crate) fn progress(i: usize, n: usize) -> f32 {
     (i as f64 / n.max(1) as f64).min(1.0) as f32
 }
 
-/// Period of the first harmonic of time, frames: the length of the video (docs/spec/optimiser.md 1.8).
+/// Period of the first harmonic of time, frames: the length of the video (docs/spec/optimiser.md
+/// 1.8).
 pub(crate) fn period(time_frames: usize) -> f32 {
     (time_frames.max(2) - 1) as f32
 }
@@ -40,7 +45,12 @@ pub(crate) struct Picker {
 
 impl Picker {
     pub fn new(seed: u64, frames: usize) -> Self {
-        Self { seed, frames, order: Vec::new(), epoch: None }
+        Self {
+            seed,
+            frames,
+            order: Vec::new(),
+            epoch: None,
+        }
     }
 
     /// The frame of `iteration`.
@@ -64,9 +74,11 @@ pub(crate) struct RateBasis {
     pub time_frames: usize,
 }
 
-/// Change of colour a frame, in units of the rate of constant colours (measured: docs/decisions/0022).
+/// Change of colour a frame, in units of the rate of constant colours (measured:
+/// docs/decisions/0022).
 const TREND: f32 = 0.2;
-/// Positions of nodes, in units of the rate of means: a step of a node is the mean of what many splats ask for (measured: docs/decisions/0022).
+/// Positions of nodes, in units of the rate of means: a step of a node is the mean of what many
+/// splats ask for (measured: docs/decisions/0022).
 const NODE_POSITION: f32 = 10.0;
 /// Turns of nodes, radians (measured: docs/decisions/0022).
 const NODE_TURN: f32 = 0.015;
@@ -74,7 +86,10 @@ const NODE_TURN: f32 = 0.015;
 /// The rates of nodes at `x` of the run (0..1).
 pub(crate) fn node_rates(config: &RateConfig, scale: &SceneScale, x: f32) -> NodeRates {
     let fall = log_linear(config.position, config.position_end, x);
-    NodeRates { position: NODE_POSITION * fall * scale.extent, turn: NODE_TURN * log_linear(1.0, config.other_end, x) }
+    NodeRates {
+        position: NODE_POSITION * fall * scale.extent,
+        turn: NODE_TURN * log_linear(1.0, config.other_end, x),
+    }
 }
 
 /// The rates at `x` of the run (0..1), in the order of [`m4_core::Splats::columns`].
@@ -88,7 +103,11 @@ pub(crate) fn rates(
     let unit = scale.extent;
     let fall = log_linear(config.position, config.position_end, x);
     let other = log_linear(1.0, config.other_end, x);
-    let velocity = if config.position > 0.0 { config.velocity * fall / config.position } else { config.velocity };
+    let velocity = if config.position > 0.0 {
+        config.velocity * fall / config.position
+    } else {
+        config.velocity
+    };
     let time_mean = if config.time_mean_reference > 0.0 {
         let last = basis.time_frames.max(2) - 1;
         config.position * unit * last as f32 / config.time_mean_reference
@@ -141,11 +160,25 @@ mod tests {
 
     #[test]
     fn columns_get_their_rates() {
-        let layout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 };
-        let scale =
-            SceneScale { one_centre: false, extent: 2.0, median_depth: 5.0, focal_px: 100.0, centres: vec![[0.0; 3]] };
-        let basis = RateBasis { time_sd: 2.0, time_frames: 31 };
-        let at = |config: &RateConfig, x, column| rates(config, layout, &scale, basis, x)[layout.column(column)];
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 1,
+            time_degree: 0,
+        };
+        let scale = SceneScale {
+            one_centre: false,
+            extent: 2.0,
+            median_depth: 5.0,
+            focal_px: 100.0,
+            centres: vec![[0.0; 3]],
+        };
+        let basis = RateBasis {
+            time_sd: 2.0,
+            time_frames: 31,
+        };
+        let at = |config: &RateConfig, x, column| {
+            rates(config, layout, &scale, basis, x)[layout.column(column)]
+        };
         let fast = RateConfig::default();
         assert!((at(&fast, 0.0, Column::Mean) - 6e-4).abs() < 1e-8);
         assert!((at(&fast, 1.0, Column::Mean) - 1.6e-5).abs() < 1e-9);
@@ -154,10 +187,18 @@ mod tests {
         assert!((at(&fast, 0.5, Column::Opacity) - half).abs() < 1e-6);
         let colour = rates(&fast, layout, &scale, basis, 0.0);
         let first = layout.column(Column::Colour);
-        assert!(colour[first..].iter().take(12).all(|rate| (rate - 0.02).abs() < 1e-8));
+        assert!(
+            colour[first..]
+                .iter()
+                .take(12)
+                .all(|rate| (rate - 0.02).abs() < 1e-8)
+        );
         let faithful = RateConfig::faithful();
         let colour = rates(&faithful, layout, &scale, basis, 1.0);
-        assert!((colour[first + 2] - 2.5e-3).abs() < 1e-9 && (colour[first + 3] - 1.25e-4).abs() < 1e-10);
+        assert!(
+            (colour[first + 2] - 2.5e-3).abs() < 1e-9
+                && (colour[first + 3] - 1.25e-4).abs() < 1e-10
+        );
         assert_eq!(at(&faithful, 0.5, Column::Velocity), 0.0);
         assert!((at(&faithful, 0.9, Column::TimeMean) - 1.6e-4 * 2.0 * 10.0).abs() < 1e-8);
     }

@@ -53,26 +53,51 @@ impl Reader<'_> {
 
 fn wrong(name: &str, expected: usize, found: Option<&StateTensor<'_>>) -> TrainError {
     match found {
-        Some(tensor) if tensor.len() != expected => {
-            TrainError::Shape(ShapeError { what: "tensor of the training state", expected, found: tensor.len() })
-        }
-        _ => TrainError::BadState { name: name.to_owned() },
+        Some(tensor) if tensor.len() != expected => TrainError::Shape(ShapeError {
+            what: "tensor of the training state",
+            expected,
+            found: tensor.len(),
+        }),
+        _ => TrainError::BadState {
+            name: name.to_owned(),
+        },
     }
 }
 
 pub(crate) fn write_adam<'a>(state: &mut TrainState<'a>, adam: &'a AdamState) {
     for (kind, columns) in [("m", adam.m.columns()), ("v", adam.v.columns())] {
-        let kept = if adam.nodes.is_empty() { columns.len() - TRENDS } else { columns.len() };
+        let kept = if adam.nodes.is_empty() {
+            columns.len() - TRENDS
+        } else {
+            columns.len()
+        };
         for (c, column) in columns.iter().enumerate().take(kept) {
             state.insert(format!("adam/{kind}/{c:02}"), StateTensor::f32(column));
         }
     }
     state.insert("adam/step".to_owned(), StateTensor::u32(&adam.step));
     if !adam.nodes.is_empty() {
-        let joined = |of: fn(&NodeMoments) -> &Vec<f32>| adam.nodes.iter().flat_map(of).copied().collect::<Vec<f32>>();
-        state.insert("adam/nodes/m".to_owned(), StateTensor::f32(joined(|nodes| &nodes.m)));
-        state.insert("adam/nodes/v".to_owned(), StateTensor::f32(joined(|nodes| &nodes.v)));
-        let steps: Vec<u32> = adam.nodes.iter().flat_map(|nodes| &nodes.step).copied().collect();
+        let joined = |of: fn(&NodeMoments) -> &Vec<f32>| {
+            adam.nodes
+                .iter()
+                .flat_map(of)
+                .copied()
+                .collect::<Vec<f32>>()
+        };
+        state.insert(
+            "adam/nodes/m".to_owned(),
+            StateTensor::f32(joined(|nodes| &nodes.m)),
+        );
+        state.insert(
+            "adam/nodes/v".to_owned(),
+            StateTensor::f32(joined(|nodes| &nodes.v)),
+        );
+        let steps: Vec<u32> = adam
+            .nodes
+            .iter()
+            .flat_map(|nodes| &nodes.step)
+            .copied()
+            .collect();
         state.insert("adam/nodes/step".to_owned(), StateTensor::u32(steps));
     }
 }
@@ -83,15 +108,33 @@ pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamStat
             .columns()
             .iter()
             .enumerate()
-            .map(|(c, column)| match splats.windows().is_empty() && c >= splats.layout().column(Column::Trend) {
-                true => Ok(vec![0.0; column.len()]),
-                false => Ok(reader.f32(&format!("adam/{kind}/{c:02}"), column.len())?.to_vec()),
+            .map(|(c, column)| {
+                match splats.windows().is_empty() && c >= splats.layout().column(Column::Trend) {
+                    true => Ok(vec![0.0; column.len()]),
+                    false => Ok(reader
+                        .f32(&format!("adam/{kind}/{c:02}"), column.len())?
+                        .to_vec()),
+                }
             })
             .collect();
-        Ok(Splats::from_columns(splats.layout(), splats.n_static(), splats.n_dynamic(), columns?)?)
+        Ok(Splats::from_columns(
+            splats.layout(),
+            splats.n_static(),
+            splats.n_dynamic(),
+            columns?,
+        )?)
     };
-    let (m, v, step) = (moments("m")?, moments("v")?, reader.u32("adam/step", splats.n())?.to_vec());
-    Ok(AdamState { m, v, step, nodes: read_nodes(reader, splats)? })
+    let (m, v, step) = (
+        moments("m")?,
+        moments("v")?,
+        reader.u32("adam/step", splats.n())?.to_vec(),
+    );
+    Ok(AdamState {
+        m,
+        v,
+        step,
+        nodes: read_nodes(reader, splats)?,
+    })
 }
 
 fn read_nodes(reader: &Reader<'_>, splats: &Splats) -> Result<Vec<NodeMoments>, TrainError> {
@@ -102,12 +145,21 @@ fn read_nodes(reader: &Reader<'_>, splats: &Splats) -> Result<Vec<NodeMoments>, 
     let len = out.iter().map(|nodes| nodes.m.len()).sum();
     let mut m = reader.f32("adam/nodes/m", len)?;
     let mut v = reader.f32("adam/nodes/v", len)?;
-    let mut step = reader.u32("adam/nodes/step", out.iter().map(|nodes| nodes.step.len()).sum())?;
+    let mut step = reader.u32(
+        "adam/nodes/step",
+        out.iter().map(|nodes| nodes.step.len()).sum(),
+    )?;
     for nodes in &mut out {
         let (moments, keys) = (nodes.m.len(), nodes.step.len());
-        nodes.m.copy_from_slice(m.split_off(..moments).unwrap_or_default());
-        nodes.v.copy_from_slice(v.split_off(..moments).unwrap_or_default());
-        nodes.step.copy_from_slice(step.split_off(..keys).unwrap_or_default());
+        nodes
+            .m
+            .copy_from_slice(m.split_off(..moments).unwrap_or_default());
+        nodes
+            .v
+            .copy_from_slice(v.split_off(..moments).unwrap_or_default());
+        nodes
+            .step
+            .copy_from_slice(step.split_off(..keys).unwrap_or_default());
     }
     Ok(out)
 }
@@ -125,9 +177,15 @@ pub(crate) fn write_refinement(state: &mut TrainState<'_>, fit: &Refinement) {
         colour.extend(f.colour.m.iter().chain(&f.colour.v));
         steps.extend([f.pose.step, f.colour.step]);
     }
-    let f64s = |data: Vec<f64>, width| StateTensor::F64 { shape: vec![n, width], data: data.into() };
+    let f64s = |data: Vec<f64>, width| StateTensor::F64 {
+        shape: vec![n, width],
+        data: data.into(),
+    };
     let (shape, data) = (vec![n, 12], exposure.into());
-    state.insert("refine/exposure".to_owned(), StateTensor::F32 { shape, data });
+    state.insert(
+        "refine/exposure".to_owned(),
+        StateTensor::F32 { shape, data },
+    );
     let (shape, data) = (vec![n, 2], steps.into());
     state.insert("refine/steps".to_owned(), StateTensor::U32 { shape, data });
     state.insert("refine/c2w".to_owned(), f64s(c2w, 12));
@@ -135,7 +193,10 @@ pub(crate) fn write_refinement(state: &mut TrainState<'_>, fit: &Refinement) {
     state.insert("refine/colour".to_owned(), f64s(colour, 24));
     let focal = vec![fit.log_focal, fit.focal.m[0], fit.focal.v[0]];
     state.insert("refine/focal".to_owned(), StateTensor::f64(focal));
-    state.insert("refine/focal_step".to_owned(), StateTensor::u32(vec![fit.focal.step]));
+    state.insert(
+        "refine/focal_step".to_owned(),
+        StateTensor::u32(vec![fit.focal.step]),
+    );
 }
 
 /// Fills a fresh refinement.
@@ -152,12 +213,17 @@ pub(crate) fn read_refinement(reader: &Reader<'_>, fit: &mut Refinement) -> Resu
         f.camera.c2w.rotation.transpose_mut();
         f.camera.c2w.translation.copy_from_slice(&at[9..]);
         let at = &exposure[12 * i..12 * i + 12];
-        f.exposure.matrix.as_flattened_mut().copy_from_slice(&at[..9]);
+        f.exposure
+            .matrix
+            .as_flattened_mut()
+            .copy_from_slice(&at[..9]);
         f.exposure.offset.copy_from_slice(&at[9..]);
         f.pose.m.copy_from_slice(&pose[12 * i..12 * i + 6]);
         f.pose.v.copy_from_slice(&pose[12 * i + 6..12 * i + 12]);
         f.colour.m.copy_from_slice(&colour[24 * i..24 * i + 12]);
-        f.colour.v.copy_from_slice(&colour[24 * i + 12..24 * i + 24]);
+        f.colour
+            .v
+            .copy_from_slice(&colour[24 * i + 12..24 * i + 24]);
         (f.pose.step, f.colour.step) = (steps[2 * i], steps[2 * i + 1]);
     }
     let focal = reader.f64("refine/focal", 3)?;

@@ -6,7 +6,8 @@ use crate::{
     scale::SceneScale,
 };
 use m4_core::{
-    BINDING_NODES, Binding, Capture, Column, CounterRng, Pose, Silent, SplatLayout, Splats, Window, nalgebra::Vector3,
+    BINDING_NODES, Binding, Capture, Column, CounterRng, Pose, Silent, SplatLayout, Splats, Window,
+    nalgebra::Vector3,
 };
 use m4_kernels::SimdLevel;
 use std::sync::Arc;
@@ -19,10 +20,11 @@ const FRAMES: usize = 2;
 /// Standard deviation of a splat, in distances from the camera: next to nothing.
 const SIZE: f32 = 1e-4;
 
-/// Trains a few thousand tiny splats of `layout` on the first frames of `capture` by these settings for a few steps on `backend`,
-/// with everything that a training does somewhere on its way. A GPU compiles a kernel when it is first launched; a training that follows
-/// finds them compiled. Meant for a thread of its own while the CPU makes the first splats. Nothing else remains of it.
-/// Fails as [`Trainer::new`], [`Trainer::use_backend`] and [`Trainer::run`].
+/// Trains a few thousand tiny splats of `layout` on the first frames of `capture` by these settings
+/// for a few steps on `backend`, with everything that a training does somewhere on its way. A GPU
+/// compiles a kernel when it is first launched; a training that follows finds them compiled. Meant
+/// for a thread of its own while the CPU makes the first splats. Nothing else remains of it. Fails
+/// as [`Trainer::new`], [`Trainer::use_backend`] and [`Trainer::run`].
 pub fn warm_up<'a>(
     capture: &Capture,
     layout: SplatLayout,
@@ -30,12 +32,19 @@ pub fn warm_up<'a>(
     backend: Box<dyn Backend + 'a>,
 ) -> Result<(), TrainError> {
     let frames = capture.frames.iter().take(FRAMES).cloned().collect();
-    let few = Capture { frames, tracks: None, ..*capture };
+    let few = Capture {
+        frames,
+        tracks: None,
+        ..*capture
+    };
     let config = TrainConfig {
         iterations: STEPS,
         guard_every: 1,
         metrics_every: 1,
-        refine: RefineConfig { from: 0, ..config.refine.clone() },
+        refine: RefineConfig {
+            from: 0,
+            ..config.refine.clone()
+        },
         density: DensityConfig {
             from: 0.0,
             until: 1.0,
@@ -57,18 +66,24 @@ pub fn warm_up<'a>(
 /// Half of them static, spread over the first image at the usual distance.
 fn splats(capture: &Capture, layout: SplatLayout) -> Splats {
     let mut out = Splats::zeros(layout, SPLATS / 2, SPLATS / 2);
-    let Some(frame) = capture.frames.first() else { return out };
+    let Some(frame) = capture.frames.first() else {
+        return out;
+    };
     let (camera, depth) = (&frame.camera, SceneScale::of(capture).median_depth);
     let k = &camera.intrinsics;
     let mut rng = CounterRng::new(0, 0, 0);
     for row in 0..SPLATS {
-        let (x, y) = (rng.uniform() * k.width as f64, rng.uniform() * k.height as f64);
+        let (x, y) = (
+            rng.uniform() * k.width as f64,
+            rng.uniform() * k.height as f64,
+        );
         let local = Vector3::new((x - k.cx) / k.fx, (y - k.cy) / k.fy, 1.0) * f64::from(depth);
         let world = camera.c2w.transform(&local);
         (0..3).for_each(|axis| out.column_mut(Column::Mean, axis)[row] = world[axis] as f32);
     }
     for axis in 0..layout.range(Column::LogScale).len() {
-        out.column_mut(Column::LogScale, axis).fill((SIZE * depth).ln());
+        out.column_mut(Column::LogScale, axis)
+            .fill((SIZE * depth).ln());
     }
     if !layout.isotropic {
         out.column_mut(Column::Quat, 0).fill(1.0);
@@ -77,12 +92,16 @@ fn splats(capture: &Capture, layout: SplatLayout) -> Splats {
     out
 }
 
-/// Binds half of the dynamic ones to nodes that do not move, as profiles do whose splats are no spheres.
+/// Binds half of the dynamic ones to nodes that do not move, as profiles do whose splats are no
+/// spheres.
 fn bind(capture: &Capture, splats: &mut Splats) {
     let mut keys: Vec<f32> = capture.frames.iter().map(|frame| frame.t as f32).collect();
     keys.sort_by(f32::total_cmp);
     keys.dedup();
-    let pose = Pose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0] };
+    let pose = Pose {
+        position: [0.0; 3],
+        rotation: [1.0, 0.0, 0.0, 0.0],
+    };
     let poses = vec![pose; BINDING_NODES * keys.len()];
     let binding = Binding {
         window: 0,
@@ -91,7 +110,10 @@ fn bind(capture: &Capture, splats: &mut Splats) {
         life: [f32::NEG_INFINITY, f32::INFINITY],
     };
     if let Ok(window) = Window::new(keys, vec![[0.0; 3]; BINDING_NODES], poses) {
-        let bound = splats.bind(Arc::new(vec![window]), vec![binding; splats.n_dynamic() / 2]);
+        let bound = splats.bind(
+            Arc::new(vec![window]),
+            vec![binding; splats.n_dynamic() / 2],
+        );
         debug_assert!(bound.is_ok());
     }
 }

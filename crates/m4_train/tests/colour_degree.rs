@@ -1,7 +1,9 @@
 //! Colours that change with direction or time are learned by harmonics of that degree.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use crate::common::{FRAMES, STILL, add_harmonics, filmed, halves_have_the_colour_of_their_time, video};
+use crate::common::{
+    FRAMES, STILL, add_harmonics, filmed, halves_have_the_colour_of_their_time, video,
+};
 use m4_core::{Camera, Capture, Column, Intrinsics, Silent, Splats};
 use m4_kernels::SimdLevel;
 use m4_testkit::camera_looking_at;
@@ -12,7 +14,9 @@ fn arc() -> Vec<Camera> {
     let angle = |i: usize| 1.4 * (i as f64 / (FRAMES - 1) as f64 - 0.5);
     let at = |a: f64| [2.5 * a.sin(), 0.3 * a.cos(), 2.5 - 2.5 * a.cos()];
     let lens = Intrinsics::centred(96, 72, 90.0);
-    (0..FRAMES).map(|i| camera_looking_at(lens, at(angle(i)), [0.0, 0.0, 2.5])).collect()
+    (0..FRAMES)
+        .map(|i| camera_looking_at(lens, at(angle(i)), [0.0, 0.0, 2.5]))
+        .collect()
 }
 
 /// Splats with constant colours, and the video of the same splats with harmonics of these degrees.
@@ -25,11 +29,19 @@ fn clip(space: usize, time: usize) -> (Splats, Capture) {
 
 /// The mean L1 of the last epoch where colours alone are trained, and the splats.
 fn trained(splats: &Splats, capture: &Capture, colour_degree: ColourDegree) -> (f64, Splats) {
-    let mut config =
-        TrainConfig { iterations: 50 * FRAMES, metrics_every: FRAMES, colour_degree, ..TrainConfig::fast() };
+    let mut config = TrainConfig {
+        iterations: 50 * FRAMES,
+        metrics_every: FRAMES,
+        colour_degree,
+        ..TrainConfig::fast()
+    };
     config.density.enabled = false;
     config.colour_fit_rounds = 0;
-    config.lr = RateConfig { colour: 0.02, colour_harmonics: 0.02, ..STILL };
+    config.lr = RateConfig {
+        colour: 0.02,
+        colour_harmonics: 0.02,
+        ..STILL
+    };
     let mut trainer = Trainer::new(capture, splats.clone(), config, SimdLevel::best()).unwrap();
     let mut last = None;
     trainer.run(&Silent, &mut |e| last = Some(*e)).unwrap();
@@ -56,7 +68,13 @@ fn colours_that_vary_in_time_need_harmonics_of_time() {
     let harmonic = learned.column(Column::Colour, 3);
     assert!(harmonic[n_static..].iter().any(|&k| k != 0.0));
     splats.raise_degrees(0, 2);
-    assert_eq!(trained(&splats, &capture, ColourDegree::default()).1.layout(), splats.layout(), "no degree falls");
+    assert_eq!(
+        trained(&splats, &capture, ColourDegree::default())
+            .1
+            .layout(),
+        splats.layout(),
+        "no degree falls"
+    );
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! What makes more of an iteration: several frames per step, colours by least squares, own counts of steps.
+//! What makes more of an iteration: several frames per step, colours by least squares, own counts
+//! of steps.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{FRAMES, STILL, add_harmonics, disturbed, filmed, video};
@@ -21,7 +22,8 @@ fn start(capture: &Capture, splats: Splats, config: TrainConfig) -> Trainer<'_> 
     Trainer::new(capture, splats, config, SimdLevel::best()).unwrap()
 }
 
-/// First moments of all splats, column after column; none of the trend, which splats without windows lack.
+/// First moments of all splats, column after column; none of the trend, which splats without
+/// windows lack.
 fn moments(state: &TrainState<'_>, columns: usize) -> Vec<f32> {
     let column = |c: usize| match state.get(&format!("adam/m/{c:02}")) {
         Some(StateTensor::F32 { data, .. }) => data.to_vec(),
@@ -36,12 +38,16 @@ fn the_gradient_of_a_batch_is_the_sum_of_those_of_its_frames() {
     let (scene, capture) = video();
     let splats = disturbed(&scene, 6);
     let columns = splats.columns().len();
-    // the moments after a step from nothing are half of the gradient, and halve where a splat is not seen
+    // the moments after a step from nothing are half of the gradient, and halve where a splat is
+    // not seen
     let mut config = frozen(20);
     config.adam.beta1 = 0.5;
     config.adam.sparse = false;
     let after = |batch: usize, steps: usize| {
-        let config = TrainConfig { batch, ..config.clone() };
+        let config = TrainConfig {
+            batch,
+            ..config.clone()
+        };
         let mut trainer = start(&capture, splats.clone(), config);
         trainer.run_until(steps, &Silent, &mut |_| {}).unwrap();
         moments(&trainer.state(), columns)
@@ -61,7 +67,10 @@ fn the_gradient_of_a_batch_is_the_sum_of_those_of_its_frames() {
         assert!(largest > 0.0);
         for (i, (got, want)) in together.iter().zip(&sum).enumerate() {
             let near = 1e-5 * want.abs() + 1e-7 * largest;
-            assert!((got - want).abs() <= near, "batch {batch}, value {i}: {got} for {want}");
+            assert!(
+                (got - want).abs() <= near,
+                "batch {batch}, value {i}: {got} for {want}"
+            );
         }
     }
 }
@@ -70,10 +79,15 @@ fn the_gradient_of_a_batch_is_the_sum_of_those_of_its_frames() {
 fn a_batch_looks_at_the_frames_that_as_many_steps_would() {
     let (scene, capture) = video();
     let loss = |batch: usize| {
-        let config = TrainConfig { batch, ..frozen(FRAMES) };
+        let config = TrainConfig {
+            batch,
+            ..frozen(FRAMES)
+        };
         let mut events: Vec<MetricsEvent> = Vec::new();
         let mut trainer = start(&capture, disturbed(&scene, 7), config);
-        trainer.run_until(FRAMES / batch, &Silent, &mut |e| events.push(*e)).unwrap();
+        trainer
+            .run_until(FRAMES / batch, &Silent, &mut |e| events.push(*e))
+            .unwrap();
         events.last().unwrap().l1
     };
     // one epoch of splats that do not move: the mean over all frames
@@ -100,7 +114,9 @@ fn fit_of(truth: &Splats, capture: &Capture) {
     let mut rng = CounterRng::new(8, 0, 0);
     for k in 0..3 {
         let column = splats.column_mut(Column::Colour, k);
-        column.iter_mut().for_each(|c| *c += 0.5 * rng.normal() as f32);
+        column
+            .iter_mut()
+            .for_each(|c| *c += 0.5 * rng.normal() as f32);
     }
     let run = |rounds: usize| {
         let mut config = frozen(1);
@@ -157,7 +173,9 @@ fn a_new_splat_moves_by_its_rate_at_first() {
     trainer.run_until(21, &Silent, &mut |_| {}).unwrap();
     let after = opacity(trainer.splats());
     let steps = before.iter().zip(&after).zip(&is_new);
-    let steps = steps.filter(|&(_, &new)| new).map(|((a, b), _)| (b - a).abs());
+    let steps = steps
+        .filter(|&(_, &new)| new)
+        .map(|((a, b), _)| (b - a).abs());
     // what no frame sees has no moments either, and stays where it is
     let mut steps: Vec<f32> = steps.filter(|&step| step > 0.0).collect();
     steps.sort_by(f32::total_cmp);
@@ -190,13 +208,26 @@ fn a_stop_is_heard_between_the_frames_of_the_fit_which_then_starts_anew() {
     // one question before the step, then one per frame and round
     for question in [1, 4, FRAMES + 3] {
         let mut stopped = begin();
-        let outcome = stopped.run(&StopAt(AtomicUsize::new(0), question), &mut |_| {}).unwrap();
-        assert_eq!(outcome, Outcome::Stopped { iteration: 1 }, "question {question}");
+        let outcome = stopped
+            .run(&StopAt(AtomicUsize::new(0), question), &mut |_| {})
+            .unwrap();
+        assert_eq!(
+            outcome,
+            Outcome::Stopped { iteration: 1 },
+            "question {question}"
+        );
         let (splats, state) = (stopped.splats().clone(), stopped.state());
-        let mut again = Trainer::resume(&capture, splats, &state, config.clone(), SimdLevel::best()).unwrap();
+        let mut again =
+            Trainer::resume(&capture, splats, &state, config.clone(), SimdLevel::best()).unwrap();
         again.run(&Silent, &mut |_| {}).unwrap();
-        assert!(again.scene() == calm.scene(), "question {question}, resumed");
+        assert!(
+            again.scene() == calm.scene(),
+            "question {question}, resumed"
+        );
         stopped.run(&Silent, &mut |_| {}).unwrap();
-        assert!(stopped.scene() == calm.scene(), "question {question}, continued");
+        assert!(
+            stopped.scene() == calm.scene(),
+            "question {question}, continued"
+        );
     }
 }

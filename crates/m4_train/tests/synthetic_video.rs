@@ -1,4 +1,5 @@
-//! A video of known motion is learned: image quality, motion, counts (docs/spec/optimiser.md 9, T8 and T9).
+//! A video of known motion is learned: image quality, motion, counts (docs/spec/optimiser.md 9, T8
+//! and T9).
 
 use crate::common::{FRAMES, disturbed, video};
 use m4_core::{Capture, CaptureFrame, Column, Progress, Silent, Splats};
@@ -34,7 +35,10 @@ fn mean_velocity(splats: &Splats) -> [f32; 3] {
     let total: f32 = (0..splats.n_dynamic()).map(weight).sum();
     [0, 1, 2].map(|k| {
         let v = splats.column(Column::Velocity, k);
-        (0..splats.n_dynamic()).map(|i| weight(i) * v[i]).sum::<f32>() / total
+        (0..splats.n_dynamic())
+            .map(|i| weight(i) * v[i])
+            .sum::<f32>()
+            / total
     })
 }
 
@@ -57,19 +61,33 @@ fn perturbed_splats_recover_image_and_velocity() {
     assert_eq!(last.splats_static + last.splats_dynamic, scene.splats.n());
     let v = mean_velocity(trainer.splats());
     let speed = scene.velocity[0];
-    assert!((v[0] - speed).abs() < 0.1 * speed, "{v:?} where {speed} was expected");
-    assert!(v[1].abs() < 0.1 * speed && v[2].abs() < 0.3 * speed, "{v:?} where nothing moves");
+    assert!(
+        (v[0] - speed).abs() < 0.1 * speed,
+        "{v:?} where {speed} was expected"
+    );
+    assert!(
+        v[1].abs() < 0.1 * speed && v[2].abs() < 0.3 * speed,
+        "{v:?} where nothing moves"
+    );
 }
 
 #[test]
 fn training_from_depth_exceeds_30_db() {
     let (_, capture) = video();
-    let init = InitConfig { max_static: 3000, max_dynamic: 1500, ..InitConfig::fast() };
+    let init = InitConfig {
+        max_static: 3000,
+        max_dynamic: 1500,
+        ..InitConfig::fast()
+    };
     let splats = initialise(&capture, &init, &Silent).unwrap().splats;
     assert!(splats.n_static() > 1000 && splats.n_dynamic() > 300);
     let mut config = config(240);
-    config.density =
-        DensityConfig { from: 0.25, every: 40.0 / 240.0, prune_every: 80.0 / 240.0, ..DensityConfig::fast() };
+    config.density = DensityConfig {
+        from: 0.25,
+        every: 40.0 / 240.0,
+        prune_every: 80.0 / 240.0,
+        ..DensityConfig::fast()
+    };
     let first = splats.n();
     let mut trainer = Trainer::new(&capture, splats, config, SimdLevel::best()).unwrap();
     let mut last = None;
@@ -89,8 +107,15 @@ fn psnr(splats: &Splats, capture: &Capture, frames: &[usize]) -> f64 {
     for &i in frames {
         let CaptureFrame { camera, t, rgb, .. } = &capture.frames[i];
         let period = (capture.time_frames - 1) as f32;
-        let view =
-            View { camera: *camera, t: *t, background: [0.0; 3], near: 0.1, mip: true, period, with_depth: false };
+        let view = View {
+            camera: *camera,
+            t: *t,
+            background: [0.0; 3],
+            near: 0.1,
+            mip: true,
+            period,
+            with_depth: false,
+        };
         let drawn = renderer.render(splats, &view);
         for (c, plane) in drawn.rgb.iter().enumerate() {
             for (value, pixel) in plane.iter().zip(rgb.data()) {
@@ -102,8 +127,8 @@ fn psnr(splats: &Splats, capture: &Capture, frames: &[usize]) -> f64 {
     -10.0 * (sum / count).log10()
 }
 
-/// Three of four splats of the wall are missing at the start. Measured: 25.09 dB without, 26.53 dB with density control, and 24.70 dB
-/// where it chooses the splats of the lowest scores.
+/// Three of four splats of the wall are missing at the start. Measured: 25.09 dB without, 26.53 dB
+/// with density control, and 24.70 dB where it chooses the splats of the lowest scores.
 #[test]
 fn density_control_improves_frames_that_were_not_trained_on() {
     let (scene, capture) = video();
@@ -119,11 +144,24 @@ fn density_control_improves_frames_that_were_not_trained_on() {
     });
     let scores = [false, true].map(|enabled| {
         let mut config = config(400);
-        let density = DensityConfig { from: 0.15, every: 0.1, prune_every: 0.2, ..DensityConfig::fast() };
-        config.density = DensityConfig { enabled, budget: 0.05, max_growth: 1.5, ..density };
+        let density = DensityConfig {
+            from: 0.15,
+            every: 0.1,
+            prune_every: 0.2,
+            ..DensityConfig::fast()
+        };
+        config.density = DensityConfig {
+            enabled,
+            budget: 0.05,
+            max_growth: 1.5,
+            ..density
+        };
         let mut trainer = Trainer::new(&train, start.clone(), config, SimdLevel::best()).unwrap();
         trainer.run(&Silent, &mut |_| {}).unwrap();
-        (psnr(trainer.splats(), &capture, &held_out), trainer.splats().n())
+        (
+            psnr(trainer.splats(), &capture, &held_out),
+            trainer.splats().n(),
+        )
     });
     let [(without, _), (with, _)] = scores;
     assert!(with > without + 0.7, "{scores:?}");
@@ -134,10 +172,16 @@ fn pose_refinement_recovers_a_perturbed_pose() {
     let (scene, mut capture) = video();
     let truth = capture.frames[3].camera;
     capture.frames[3].camera.c2w.translation.x += 0.03;
-    // Turning and shifting look alike: what counts is where points land, at the depth of wall and ball.
+    // Turning and shifting look alike: what counts is where points land, at the depth of wall and
+    // ball.
     let off_px = |t: &Trainer<'_>| {
         let fit = t.scene().source[3].camera;
-        let corners = [[10.0, 10.0, 4.0], [80.0, 60.0, 4.0], [48.0, 36.0, 2.5], [48.0, 36.0, 4.0]];
+        let corners = [
+            [10.0, 10.0, 4.0],
+            [80.0, 60.0, 4.0],
+            [48.0, 36.0, 2.5],
+            [48.0, 36.0, 4.0],
+        ];
         let miss = corners.map(|[u, v, z]| {
             let ([a, b], _) = fit.project(&truth.unproject(u, v, z));
             (a - u).hypot(b - v)
@@ -152,10 +196,15 @@ fn pose_refinement_recovers_a_perturbed_pose() {
     config.refine.from = 0;
     config.refine.translation_lr = 2e-4;
     config.refine.rotation_lr = 1e-4;
-    let mut trainer = Trainer::new(&capture, scene.splats.clone(), config, SimdLevel::best()).unwrap();
+    let mut trainer =
+        Trainer::new(&capture, scene.splats.clone(), config, SimdLevel::best()).unwrap();
     let before = off_px(&trainer);
     trainer.run(&Silent, &mut |_| {}).unwrap();
-    assert!(off_px(&trainer) < 0.3 * before, "{} px of {before} are left", off_px(&trainer));
+    assert!(
+        off_px(&trainer) < 0.3 * before,
+        "{} px of {before} are left",
+        off_px(&trainer)
+    );
     assert_eq!(trainer.scene().source[0].camera, capture.frames[0].camera);
 }
 
@@ -175,7 +224,13 @@ impl Progress for StopAfter {
 #[test]
 fn a_stopped_run_keeps_what_it_has() {
     let (scene, capture) = video();
-    let mut trainer = Trainer::new(&capture, disturbed(&scene, 1), config(100), SimdLevel::best()).unwrap();
+    let mut trainer = Trainer::new(
+        &capture,
+        disturbed(&scene, 1),
+        config(100),
+        SimdLevel::best(),
+    )
+    .unwrap();
     let stop = StopAfter(AtomicUsize::new(0));
     let outcome = trainer.run(&stop, &mut |_| {}).unwrap();
     assert_eq!(outcome, Outcome::Stopped { iteration: 25 });
@@ -189,7 +244,8 @@ fn a_run_that_diverges_says_so_and_keeps_the_last_good_splats() {
     let mut config = config(100);
     config.guard_every = 10;
     config.lr.colour = 1e38;
-    let mut trainer = Trainer::new(&capture, disturbed(&scene, 1), config, SimdLevel::best()).unwrap();
+    let mut trainer =
+        Trainer::new(&capture, disturbed(&scene, 1), config, SimdLevel::best()).unwrap();
     let error = trainer.run(&Silent, &mut |_| {}).unwrap_err();
     assert!(matches!(error, TrainError::Diverged { .. }), "{error}");
     assert!(trainer.splats().is_finite());
@@ -201,10 +257,19 @@ fn bad_starts_are_refused() {
     let level = SimdLevel::best();
     let mut broken = scene.splats.clone();
     broken.column_mut(Column::Mean, 0)[0] = f32::NAN;
-    assert_eq!(Trainer::new(&capture, broken, config(1), level).unwrap_err(), TrainError::BadSplats);
+    assert_eq!(
+        Trainer::new(&capture, broken, config(1), level).unwrap_err(),
+        TrainError::BadSplats
+    );
     let none = scene.splats.gather(&[]).unwrap();
-    assert_eq!(Trainer::new(&capture, none, config(1), level).unwrap_err(), TrainError::NoSplats);
+    assert_eq!(
+        Trainer::new(&capture, none, config(1), level).unwrap_err(),
+        TrainError::NoSplats
+    );
     let mut empty = capture;
     empty.frames.clear();
-    assert_eq!(Trainer::new(&empty, scene.splats.clone(), config(1), level).unwrap_err(), TrainError::NoFrames);
+    assert_eq!(
+        Trainer::new(&empty, scene.splats.clone(), config(1), level).unwrap_err(),
+        TrainError::NoFrames
+    );
 }

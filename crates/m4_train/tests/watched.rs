@@ -36,7 +36,13 @@ pub struct Watched<'a> {
 impl<'a> Watched<'a> {
     /// Counts into `calls`.
     pub fn new(inner: Box<dyn Backend + 'a>, calls: &Arc<Calls>) -> Self {
-        Self { inner, calls: Arc::clone(calls), steps: 0, fails_at: 0, breaks_at: 0 }
+        Self {
+            inner,
+            calls: Arc::clone(calls),
+            steps: 0,
+            fails_at: 0,
+            breaks_at: 0,
+        }
     }
 }
 
@@ -77,7 +83,11 @@ impl Backend for Watched<'_> {
         self.inner.reorder()
     }
 
-    fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError> {
+    fn step(
+        &mut self,
+        views: &[StepView<'_>],
+        settings: &StepSettings<'_>,
+    ) -> Result<(), BackendError> {
         self.steps += 1;
         if self.steps == self.fails_at {
             return Err(BackendError("the backend broke".to_owned()));
@@ -94,7 +104,10 @@ impl Backend for Watched<'_> {
     fn stats(&mut self) -> Result<StepStats, BackendError> {
         self.calls.waits.fetch_add(1, Ordering::Relaxed);
         let splats_are_finite = self.inner.splats()?.is_finite();
-        Ok(StepStats { splats_are_finite, ..self.inner.stats()? })
+        Ok(StepStats {
+            splats_are_finite,
+            ..self.inner.stats()?
+        })
     }
 
     fn collect_image_gradients(&mut self) {

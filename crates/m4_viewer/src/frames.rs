@@ -55,16 +55,22 @@ const LEAST_SIDE_PX: usize = 96;
 /// Frames that are tried before all are written.
 const SAMPLES: usize = 8;
 
-/// The images as JPEGs of one size that together take at most `most` bytes, as far as that can be held: where it is not enough, quality and
-/// then size are lowered. `None` for none.
+/// The images as JPEGs of one size that together take at most `most` bytes, as far as that can be
+/// held: where it is not enough, quality and then size are lowered. `None` for none.
 pub fn encode_frames(images: &[&RgbImage], most: usize) -> Result<Option<Frames>, FramesError> {
     for (index, image) in images.iter().enumerate() {
         let (width, height) = image.size();
         if width == 0 || height == 0 {
-            return Err(FramesError::Empty { index, width, height });
+            return Err(FramesError::Empty {
+                index,
+                width,
+                height,
+            });
         }
     }
-    let Some(first) = images.first() else { return Ok(None) };
+    let Some(first) = images.first() else {
+        return Ok(None);
+    };
     let mut side = SIDE_PX;
     let mut quality = QUALITY;
     // a few frames tell how large all will be
@@ -89,7 +95,11 @@ pub fn encode_frames(images: &[&RgbImage], most: usize) -> Result<Option<Frames>
         bytes.extend(jpeg);
         offsets.push(bytes.len());
     }
-    let index = FrameIndex { width: size.0, height: size.1, offsets };
+    let index = FrameIndex {
+        width: size.0,
+        height: size.1,
+        offsets,
+    };
     Ok(Some(Frames { index, bytes }))
 }
 
@@ -101,12 +111,28 @@ fn fit((width, height): (usize, usize), side: usize) -> (usize, usize) {
 }
 
 /// Every `step`th image as a JPEG.
-fn encoded(images: &[&RgbImage], step: usize, size: (usize, usize), quality: u8) -> Result<Vec<Vec<u8>>, FramesError> {
-    (0..images.len().div_ceil(step)).into_par_iter().map(|i| jpeg(images[i * step], i * step, size, quality)).collect()
+fn encoded(
+    images: &[&RgbImage],
+    step: usize,
+    size: (usize, usize),
+    quality: u8,
+) -> Result<Vec<Vec<u8>>, FramesError> {
+    (0..images.len().div_ceil(step))
+        .into_par_iter()
+        .map(|i| jpeg(images[i * step], i * step, size, quality))
+        .collect()
 }
 
-fn jpeg(image: &RgbImage, index: usize, (width, height): (usize, usize), quality: u8) -> Result<Vec<u8>, FramesError> {
-    let failed = |reason: &dyn std::fmt::Display| FramesError::Encode { index, reason: reason.to_string() };
+fn jpeg(
+    image: &RgbImage,
+    index: usize,
+    (width, height): (usize, usize),
+    quality: u8,
+) -> Result<Vec<u8>, FramesError> {
+    let failed = |reason: &dyn std::fmt::Display| FramesError::Encode {
+        index,
+        reason: reason.to_string(),
+    };
     let small = if image.size() == (width, height) {
         Cow::Borrowed(image)
     } else {
@@ -118,7 +144,12 @@ fn jpeg(image: &RgbImage, index: usize, (width, height): (usize, usize), quality
     let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));
     let mut out = Vec::new();
     JpegEncoder::new_with_quality(&mut out, quality)
-        .write_image(small.data().as_flattened(), side(width)?, side(height)?, ExtendedColorType::Rgb8)
+        .write_image(
+            small.data().as_flattened(),
+            side(width)?,
+            side(height)?,
+            ExtendedColorType::Rgb8,
+        )
         .map_err(|e| failed(&e))?;
     Ok(out)
 }
@@ -130,14 +161,18 @@ mod tests {
 
     fn noise(index: u64) -> RgbImage {
         let mut rng = CounterRng::new(1, 2, index);
-        Plane::from_fn(640, 360, |_, _| std::array::from_fn(|_| (255.0 * rng.uniform()) as u8))
+        Plane::from_fn(640, 360, |_, _| {
+            std::array::from_fn(|_| (255.0 * rng.uniform()) as u8)
+        })
     }
 
     #[test]
     fn frames_come_back_at_their_offsets() {
         let grey = |v: u8| Plane::filled(200, 100, [v; 3]);
         let images: Vec<RgbImage> = [10, 120, 250].map(grey).into();
-        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), FRAME_BYTES).unwrap().unwrap();
+        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), FRAME_BYTES)
+            .unwrap()
+            .unwrap();
         assert_eq!((frames.index.width, frames.index.height), (200, 100));
         assert_eq!(frames.index.offsets.len(), 4);
         assert_eq!(frames.index.offsets[3], frames.bytes.len());
@@ -145,7 +180,10 @@ mod tests {
             let jpeg = &frames.bytes[frames.index.offsets[i]..frames.index.offsets[i + 1]];
             let image = image::load_from_memory(jpeg).unwrap().to_rgb8();
             assert_eq!(image.dimensions(), (200, 100));
-            assert!(image.as_raw().iter().all(|v| v.abs_diff(value) <= 2), "frame {i}");
+            assert!(
+                image.as_raw().iter().all(|v| v.abs_diff(value) <= 2),
+                "frame {i}"
+            );
         }
     }
 
@@ -157,7 +195,11 @@ mod tests {
         assert_eq!((whole.index.width, whole.index.height), (480, 270));
         let most = whole.bytes.len() / 6;
         let tight = encode_frames(&images, most).unwrap().unwrap();
-        assert!(tight.bytes.len() < most * 11 / 10, "{} bytes", tight.bytes.len());
+        assert!(
+            tight.bytes.len() < most * 11 / 10,
+            "{} bytes",
+            tight.bytes.len()
+        );
         assert!(tight.index.width < 480);
     }
 

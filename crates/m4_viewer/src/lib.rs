@@ -17,4 +17,6 @@ mod frames;
 mod manifest;
 
 pub use frames::{FRAME_BYTES, Frames, FramesError, encode_frames};
-pub use manifest::{About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeOrbit, SourceCamera, SplatFacts};
+pub use manifest::{
+    About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeOrbit, SourceCamera, SplatFacts,
+};

@@ -63,7 +63,10 @@ pub struct SplatFacts {
 }
 
 /// Whether a number may be left out: pages before bound splats do not have it.
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands over a reference")]
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde hands over a reference"
+)]
 fn is_none(count: &usize) -> bool {
     *count == 0
 }
@@ -181,7 +184,11 @@ impl Manifest {
             mip: scene.mip,
             near: scene.near,
             period_frames: (scene.time_frames.max(2) - 1) as f64,
-            cameras: scene.source.iter().map(|s| SourceCamera::new(&s.camera, s.t)).collect(),
+            cameras: scene
+                .source
+                .iter()
+                .map(|s| SourceCamera::new(&s.camera, s.t))
+                .collect(),
             centre,
             safe: SafeOrbit::new(scene, depth),
             frames: None,
@@ -204,20 +211,27 @@ impl Manifest {
 }
 
 fn usable_depth(median_depth: f64) -> f64 {
-    if median_depth.is_finite() && median_depth > 0.0 { median_depth } else { 1.0 }
+    if median_depth.is_finite() && median_depth > 0.0 {
+        median_depth
+    } else {
+        1.0
+    }
 }
 
-/// Share of the extent of the camera's path within which a scene is shown without a fade: what lies behind an edge was seen
-/// as far as the camera moved, and half as far again what is there is guessed well from what is beside it.
+/// Share of the extent of the camera's path within which a scene is shown without a fade: what lies
+/// behind an edge was seen as far as the camera moved, and half as far again what is there is
+/// guessed well from what is beside it.
 const PATH_SHARE: f64 = 0.5;
-/// At least this share of the median depth: the tangent of the 8 degrees by which the preview swings about any scene.
+/// At least this share of the median depth: the tangent of the 8 degrees by which the preview
+/// swings about any scene.
 const LEAST_SHARE: f64 = 0.14;
-/// At most this share of the median depth: beyond it nearer things leave their place in the frame altogether.
+/// At most this share of the median depth: beyond it nearer things leave their place in the frame
+/// altogether.
 const MOST_SHARE: f64 = 0.5;
 
 impl SafeOrbit {
-    /// A share of the extent of the camera's path (the diagonal of the box about it), between two shares
-    /// of the median depth.
+    /// A share of the extent of the camera's path (the diagonal of the box about it), between two
+    /// shares of the median depth.
     fn new(scene: &Scene, median_depth: f64) -> Self {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for source in &scene.source {
@@ -227,8 +241,13 @@ impl SafeOrbit {
                 high[k] = high[k].max(eye[k]);
             }
         }
-        let extent = (0..3).map(|k| (high[k] - low[k]).max(0.0).powi(2)).sum::<f64>().sqrt();
+        let extent = (0..3)
+            .map(|k| (high[k] - low[k]).max(0.0).powi(2))
+            .sum::<f64>()
+            .sqrt();
         let radius = (PATH_SHARE * extent).max(LEAST_SHARE * median_depth);
-        Self { radius: radius.min(MOST_SHARE * median_depth) }
+        Self {
+            radius: radius.min(MOST_SHARE * median_depth),
+        }
     }
 }

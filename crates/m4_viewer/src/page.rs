@@ -9,9 +9,10 @@
 //! <script type="text/plain" id="m4-frames">BASE64 of the JPEGs</script>
 //! ```
 //!
-//! the poster, which is the first of the frames and is seen while the rest is still being read, the splats and the
-//! frames only where there are some. Every `<` in the JSON is written `\u003c`: in a script `</script` ends the
-//! element, and behind `<!--` and `<script` it does not end where it should (HTML, 13.2.5.15 to 31). Base64 has none.
+//! the poster, which is the first of the frames and is seen while the rest is still being read, the
+//! splats and the frames only where there are some. Every `<` in the JSON is written `\u003c`: in a
+//! script `</script` ends the element, and behind `<!--` and `<script` it does not end where it
+//! should (HTML, 13.2.5.15 to 31). Base64 has none.
 
 use crate::frames::Frames;
 use crate::manifest::Manifest;
@@ -37,7 +38,9 @@ const END: &str = "</script>";
 #[non_exhaustive]
 pub enum PageError {
     /// The template has no single marker.
-    #[error("the page has {0} places for a scene where it must have one; build crates/m4_viewer/page again")]
+    #[error(
+        "the page has {0} places for a scene where it must have one; build crates/m4_viewer/page again"
+    )]
     Marker(usize),
     /// The manifest cannot be written or read as JSON.
     #[error("the manifest of the page is invalid: {0}")]
@@ -54,7 +57,9 @@ pub enum PageError {
     )]
     Comment(&'static str),
     /// Offsets that do not fit the frames.
-    #[error("the offsets of the frames do not divide the {0} bytes of the frames; the page is damaged")]
+    #[error(
+        "the offsets of the frames do not divide the {0} bytes of the frames; the page is damaged"
+    )]
     Offsets(usize),
     /// An element that is not base64.
     #[error("the element {id} of the page is damaged: {source}")]
@@ -77,8 +82,13 @@ pub struct Parts<'a> {
     pub frames: Option<&'a Frames>,
 }
 
-/// The page as bytes of HTML; quick compression is for a page that goes no further than this machine.
-pub fn compose(template: &str, parts: &Parts<'_>, compression: Compression) -> Result<Vec<u8>, PageError> {
+/// The page as bytes of HTML; quick compression is for a page that goes no further than this
+/// machine.
+pub fn compose(
+    template: &str,
+    parts: &Parts<'_>,
+    compression: Compression,
+) -> Result<Vec<u8>, PageError> {
     let found = template.matches(MARKER).count();
     let Some((before, after)) = template.split_once(MARKER).filter(|_| found == 1) else {
         return Err(PageError::Marker(found));
@@ -145,13 +155,19 @@ pub fn read(html: &str) -> Result<Contents, PageError> {
         Some(text) => {
             let mut payload = Vec::new();
             let gzip = bytes(SPLATS.1, text)?;
-            GzDecoder::new(gzip.as_slice()).take(MOST_BYTES).read_to_end(&mut payload)?;
+            GzDecoder::new(gzip.as_slice())
+                .take(MOST_BYTES)
+                .read_to_end(&mut payload)?;
             Some(payload)
         }
         None => None,
     };
     let frames = frames_of(html, &manifest)?;
-    Ok(Contents { manifest, payload, frames })
+    Ok(Contents {
+        manifest,
+        payload,
+        frames,
+    })
 }
 
 /// The frames of a page, without its splats.
@@ -179,8 +195,12 @@ fn frames_of(html: &str, manifest: &Manifest) -> Result<Option<Frames>, PageErro
 
 /// The text of an element, as a browser finds it.
 fn find<'a>(html: &'a str, name: (&str, &'static str)) -> Result<Option<&'a str>, PageError> {
-    let rest = html.split_once(opening(name).as_str()).map(|(_, rest)| rest);
-    let text = rest.and_then(|rest| rest.split_once(END)).map(|(text, _)| text);
+    let rest = html
+        .split_once(opening(name).as_str())
+        .map(|(_, rest)| rest);
+    let text = rest
+        .and_then(|rest| rest.split_once(END))
+        .map(|(text, _)| text);
     if text.is_some_and(|text| text.contains("<!--")) {
         return Err(PageError::Comment(name.1));
     }
@@ -188,5 +208,7 @@ fn find<'a>(html: &'a str, name: (&str, &'static str)) -> Result<Option<&'a str>
 }
 
 fn bytes(id: &'static str, text: &str) -> Result<Vec<u8>, PageError> {
-    STANDARD.decode(text).map_err(|source| PageError::Base64 { id, source })
+    STANDARD
+        .decode(text)
+        .map_err(|source| PageError::Base64 { id, source })
 }

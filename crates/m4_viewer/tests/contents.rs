@@ -14,16 +14,28 @@ fn a_scene_comes_back_out_of_the_page() {
     let payload = encode(&scene, 4.0);
     let mut manifest = manifest_of(&scene, &payload);
     manifest.title = "</script><script>alert(1)</script> \"ä\"".to_owned();
-    let images: Vec<RgbImage> = (0..scene.source.len()).map(|i| Plane::filled(60, 40, [20 * i as u8; 3])).collect();
+    let images: Vec<RgbImage> = (0..scene.source.len())
+        .map(|i| Plane::filled(60, 40, [20 * i as u8; 3]))
+        .collect();
     let frames = encode_frames(&images.iter().collect::<Vec<_>>(), FRAME_BYTES).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
-    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
+    let parts = Parts {
+        manifest: &manifest,
+        payload: Some(&payload.bytes),
+        frames: frames.as_ref(),
+    };
     for compression in [Compression::fast(), Compression::default()] {
         let html = String::from_utf8(compose(TEMPLATE, &parts, compression).unwrap()).unwrap();
         assert!(!html.contains(MARKER) && !html.contains("</script><script>alert"));
         // what is seen first comes before what takes long to read
-        let first = frames.as_ref().map(|f| &f.bytes[..f.index.offsets[1]]).unwrap();
-        let poster = format!("style=\"--aspect:1.500000\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(first));
+        let first = frames
+            .as_ref()
+            .map(|f| &f.bytes[..f.index.offsets[1]])
+            .unwrap();
+        let poster = format!(
+            "style=\"--aspect:1.500000\" src=\"data:image/jpeg;base64,{}\">",
+            STANDARD.encode(first)
+        );
         assert!(html.find(&poster).unwrap() < html.find("<script").unwrap());
         let back = page::read(&html).unwrap();
         assert_eq!(back.manifest, manifest);
@@ -39,13 +51,21 @@ fn a_scene_comes_back_out_of_the_page() {
 fn small_page(title: &str) -> (Manifest, Vec<u8>, String) {
     let scene = scene(4, 3);
     let payload = encode(&scene, 4.0);
-    let manifest = Manifest { title: title.to_owned(), ..manifest_of(&scene, &payload) };
-    let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: None };
+    let manifest = Manifest {
+        title: title.to_owned(),
+        ..manifest_of(&scene, &payload)
+    };
+    let parts = Parts {
+        manifest: &manifest,
+        payload: Some(&payload.bytes),
+        frames: None,
+    };
     let html = String::from_utf8(compose(MARKER, &parts, Compression::fast()).unwrap()).unwrap();
     (manifest, payload.bytes, html)
 }
 
-/// Titles that end an element of a page, or begin what a browser does not end there: a clip may have any name.
+/// Titles that end an element of a page, or begin what a browser does not end there: a clip may
+/// have any name.
 const HOSTILE: [&str; 5] = [
     "<!--<script>.mp4",
     "--><!--<SCRIPT src=x></sCriPt >",
@@ -73,39 +93,76 @@ fn pages_that_browsers_cannot_parse_are_refused() {
         assert!(matches!(read, Err(PageError::Comment(_))), "{title}");
     }
     // what earlier versions wrote, and every browser reads
-    assert_eq!(page::read(&html.replace("a clip", "a <\\/b> clip")).unwrap().manifest.title, "a </b> clip");
+    assert_eq!(
+        page::read(&html.replace("a clip", "a <\\/b> clip"))
+            .unwrap()
+            .manifest
+            .title,
+        "a </b> clip"
+    );
 }
 
 #[test]
 fn a_page_that_waits_has_no_splats() {
     let manifest = Manifest::waiting("later");
-    let parts = Parts { manifest: &manifest, payload: None, frames: None };
-    let html = String::from_utf8(compose(TEMPLATE, &parts, Compression::default()).unwrap()).unwrap();
+    let parts = Parts {
+        manifest: &manifest,
+        payload: None,
+        frames: None,
+    };
+    let html =
+        String::from_utf8(compose(TEMPLATE, &parts, Compression::default()).unwrap()).unwrap();
     assert!(!html.contains("<img"));
     let back = page::read(&html).unwrap();
-    assert_eq!((back.payload, back.frames, back.manifest), (None, None, manifest));
+    assert_eq!(
+        (back.payload, back.frames, back.manifest),
+        (None, None, manifest)
+    );
 }
 
 #[test]
 fn damaged_pages_are_errors() {
     let (manifest, payload, html) = small_page("a clip");
-    let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: None };
+    let parts = Parts {
+        manifest: &manifest,
+        payload: Some(&payload),
+        frames: None,
+    };
     for template in ["<html></html>".to_owned(), MARKER.repeat(2)] {
-        assert!(matches!(compose(&template, &parts, Compression::fast()), Err(PageError::Marker(_))));
+        assert!(matches!(
+            compose(&template, &parts, Compression::fast()),
+            Err(PageError::Marker(_))
+        ));
     }
-    assert!(matches!(page::read("<html></html>"), Err(PageError::Missing(_))));
+    assert!(matches!(
+        page::read("<html></html>"),
+        Err(PageError::Missing(_))
+    ));
     let start = html.find("m4-splats\">").unwrap() + "m4-splats\">".len();
     let with = |at: usize, text: &str| {
         let mut html = html.clone();
         html.replace_range(at..at + text.len(), text);
         html
     };
-    assert!(matches!(page::read(&with(start + 20, "!")), Err(PageError::Base64 { .. })));
+    assert!(matches!(
+        page::read(&with(start + 20, "!")),
+        Err(PageError::Base64 { .. })
+    ));
     // half of the bytes turned around: gzip has a checksum
-    assert!(matches!(page::read(&with(start + 40, "AAAAAAAAAAAA")), Err(PageError::Gzip(_))));
+    assert!(matches!(
+        page::read(&with(start + 40, "AAAAAAAAAAAA")),
+        Err(PageError::Gzip(_))
+    ));
     let mut told = manifest.clone();
-    told.frames = Some(m4_viewer::FrameIndex { width: 4, height: 4, offsets: vec![0, 9] });
-    let lies = Parts { manifest: &told, ..parts };
+    told.frames = Some(m4_viewer::FrameIndex {
+        width: 4,
+        height: 4,
+        offsets: vec![0, 9],
+    });
+    let lies = Parts {
+        manifest: &told,
+        ..parts
+    };
     let html = String::from_utf8(compose(MARKER, &lies, Compression::fast()).unwrap()).unwrap();
     assert!(matches!(page::read(&html), Err(PageError::Missing(_))));
 }
@@ -115,32 +172,53 @@ fn the_safe_radius_is_between_shares_of_the_depth() {
     let mut scene = scene(3, 0);
     let payload = encode(&scene, 4.0);
     let still = manifest_of(&scene, &payload);
-    assert!((still.safe.radius - 4.0 * 0.14).abs() < 1e-12, "the camera is static");
+    assert!(
+        (still.safe.radius - 4.0 * 0.14).abs() < 1e-12,
+        "the camera is static"
+    );
     // the middle camera looks from z = -0.5 to z = 4: the centre lies 4 units along that
     assert!((still.centre[2] - 3.5).abs() < 0.02, "{:?}", still.centre);
     let n = scene.source.len();
     for (i, source) in scene.source.iter_mut().enumerate() {
         source.camera.c2w.translation.x += 2.4 * i as f64 / (n - 1) as f64;
     }
-    assert!((manifest_of(&scene, &payload).safe.radius - 1.2).abs() < 1e-9, "half of the path");
+    assert!(
+        (manifest_of(&scene, &payload).safe.radius - 1.2).abs() < 1e-9,
+        "half of the path"
+    );
     for source in &mut scene.source {
         source.camera.c2w.translation.x *= 100.0;
     }
-    assert!((manifest_of(&scene, &payload).safe.radius - 2.0).abs() < 1e-12, "half of the depth");
+    assert!(
+        (manifest_of(&scene, &payload).safe.radius - 2.0).abs() < 1e-12,
+        "half of the depth"
+    );
 }
 
 const FRAMES: usize = 6;
 
 pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
-    let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.3, 0.1, 4.0]);
+    let camera = camera_looking_at(
+        Intrinsics::centred(160, 120, 140.0),
+        [0.3, 0.1, -0.5],
+        [0.3, 0.1, 4.0],
+    );
     let spec = SceneSpec {
-        layout: SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 },
+        layout: SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        },
         n_static,
         n_dynamic,
         time_frames: FRAMES,
         ..SceneSpec::default()
     };
-    let source = (0..FRAMES).map(|i| SourceFrame { camera, t: i as f64, exposure: Exposure::IDENTITY });
+    let source = (0..FRAMES).map(|i| SourceFrame {
+        camera,
+        t: i as f64,
+        exposure: Exposure::IDENTITY,
+    });
     Scene {
         splats: random_splats(5, &camera, &spec),
         background: [0.1, 0.2, 0.3],
@@ -154,6 +232,10 @@ pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
 
 /// The page's metadata of a scene with a median depth of 4.
 pub fn manifest_of(scene: &Scene, payload: &Payload) -> Manifest {
-    let about = About { title: "a test", median_depth: 4.0, fps: 10.0 };
+    let about = About {
+        title: "a test",
+        median_depth: 4.0,
+        fps: 10.0,
+    };
     Manifest::new(scene, payload, &about)
 }

@@ -1,5 +1,5 @@
-//! The page in a real browser: what it draws, from a file and from the server. What its controls do is
-//! tested beside its sources.
+//! The page in a real browser: what it draws, from a file and from the server. What its controls do
+//! is tested beside its sources.
 
 use crate::turning::turning;
 use base64::Engine;
@@ -26,7 +26,11 @@ fn scene() -> Scene {
     let intrinsics = Intrinsics::centred(320, 200, 300.0);
     let look = |x: f64| camera_looking_at(intrinsics, [x, 0.0, 0.0], [0.0, 0.0, DISTANCE]);
     let spec = SceneSpec {
-        layout: SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 },
+        layout: SplatLayout {
+            isotropic: false,
+            sh_degree: 1,
+            time_degree: 0,
+        },
         n_static: 3000,
         n_dynamic: 2000,
         time_frames: FRAMES,
@@ -41,7 +45,11 @@ fn scene() -> Scene {
         mip: true,
         near: 0.2,
         source: (0..FRAMES)
-            .map(|i| SourceFrame { camera: look(0.05 * i as f64 - 0.2), t: i as f64, exposure: Exposure::IDENTITY })
+            .map(|i| SourceFrame {
+                camera: look(0.05 * i as f64 - 0.2),
+                t: i as f64,
+                exposure: Exposure::IDENTITY,
+            })
             .collect(),
     }
 }
@@ -60,33 +68,53 @@ fn drawn(scene: &Scene, camera: &Camera, t: f64) -> RgbImage {
     let mut renderer = Renderer::new(SimdLevel::detect().unwrap());
     let frame = renderer.render(&scene.splats, &view);
     RgbImage::from_fn(frame.width, frame.height, |x, y| {
-        std::array::from_fn(|c| (frame.rgb[c][y * frame.width + x].clamp(0.0, 1.0) * 255.0).round() as u8)
+        std::array::from_fn(|c| {
+            (frame.rgb[c][y * frame.width + x].clamp(0.0, 1.0) * 255.0).round() as u8
+        })
     })
 }
 
 fn psnr_db(a: &RgbImage, b: &RgbImage) -> f64 {
     assert_eq!((a.width(), a.height()), (b.width(), b.height()));
     let errors = a.data().iter().flatten().zip(b.data().iter().flatten());
-    let sum: f64 = errors.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum();
+    let sum: f64 = errors
+        .map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2))
+        .sum();
     10.0 * (255.0f64.powi(2) * (3 * a.width() * a.height()) as f64 / sum).log10()
 }
 
 /// The metadata of a scene for the page, and its splats.
 fn told(scene: &Scene) -> (Manifest, Vec<u8>) {
     let payload = encode(scene, DISTANCE);
-    let about = About { title: "five thousand splats", median_depth: DISTANCE, fps: 9.0 };
+    let about = About {
+        title: "five thousand splats",
+        median_depth: DISTANCE,
+        fps: 9.0,
+    };
     (Manifest::new(scene, &payload, &about), payload.bytes)
 }
 
 fn written(scene: &Scene, folder: &Path) -> String {
     let (mut manifest, payload) = told(scene);
-    let images: Vec<RgbImage> = scene.source.iter().map(|s| drawn(scene, &s.camera, s.t)).collect();
+    let images: Vec<RgbImage> = scene
+        .source
+        .iter()
+        .map(|s| drawn(scene, &s.camera, s.t))
+        .collect();
     let images: Vec<&RgbImage> = images.iter().collect();
     let frames = encode_frames(&images, FRAME_BYTES).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
-    let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: frames.as_ref() };
+    let parts = Parts {
+        manifest: &manifest,
+        payload: Some(&payload),
+        frames: frames.as_ref(),
+    };
     let path = folder.join("viewer.html");
-    std::fs::write(&path, page::compose(TEMPLATE, &parts, Compression::default()).unwrap()).unwrap();
+    std::fs::write(
+        &path,
+        page::compose(TEMPLATE, &parts, Compression::default()).unwrap(),
+    )
+    .unwrap();
     format!("file://{}", path.display())
 }
 
@@ -94,26 +122,37 @@ fn written(scene: &Scene, folder: &Path) -> String {
 fn capture(page: &mut Chromium) -> Vec<u8> {
     let url = page.eval("minute4d.capture()");
     let (_, data) = url.as_str().unwrap().split_once("base64,").unwrap();
-    base64::engine::general_purpose::STANDARD.decode(data).unwrap()
+    base64::engine::general_purpose::STANDARD
+        .decode(data)
+        .unwrap()
 }
 
 fn decoded(png: &[u8]) -> RgbImage {
     let image = image::load_from_memory(png).unwrap().to_rgb8();
     let (w, h) = (image.width(), image.height());
-    RgbImage::from_fn(w as usize, h as usize, |x, y| image.get_pixel(x as u32, y as u32).0)
+    RgbImage::from_fn(w as usize, h as usize, |x, y| {
+        image.get_pixel(x as u32, y as u32).0
+    })
 }
 
 fn stand(page: &mut Chromium, camera: &Camera, t: f64) {
     let (k, m) = (&camera.intrinsics, camera.c2w.matrix());
     let c2w: Vec<f64> = (0..16).map(|i| m[(i / 4, i % 4)]).collect();
     let (fx, fy, cx, cy) = (k.fx, k.fy, k.cx, k.cy);
-    page.eval(&format!("(minute4d.setCamera({}, {fx}, {fy}, {cx}, {cy}), minute4d.setTime({t}))", json!(c2w)));
+    page.eval(&format!(
+        "(minute4d.setCamera({}, {fx}, {fy}, {cx}, {cy}), minute4d.setTime({t}))",
+        json!(c2w)
+    ));
 }
 
-/// A camera for the window of the page, rolled, and with a principal point off the middle: nothing may
-/// be taken for granted.
+/// A camera for the window of the page, rolled, and with a principal point off the middle: nothing
+/// may be taken for granted.
 fn camera_for(page: &mut Chromium) -> Camera {
-    let mut size = |name: &str| page.eval(&format!("minute4d.state().{name}")).as_u64().unwrap() as usize;
+    let mut size = |name: &str| {
+        page.eval(&format!("minute4d.state().{name}"))
+            .as_u64()
+            .unwrap() as usize
+    };
     let (width, height) = (size("width"), size("height"));
     let mut camera = camera_looking_at(
         Intrinsics::centred(width, height, 0.9 * width as f64),
@@ -130,7 +169,8 @@ fn camera_for(page: &mut Chromium) -> Camera {
     camera
 }
 
-/// Least agreement with our renderer, dB, given the splats that the page was given (measured: 60.6).
+/// Least agreement with our renderer, dB, given the splats that the page was given (measured:
+/// 60.6).
 const SAME_SPLATS_DB: f64 = 52.0;
 /// The same given the splats before they were quantised for the page (measured: 49.5).
 const QUANTISED_DB: f64 = 45.0;
@@ -138,17 +178,36 @@ const TIMES: [f64; 3] = [0.0, 4.25, 9.0];
 
 #[test]
 fn page_carries_bound_splats_as_the_renderer_does() {
-    let Some(program) = find_chromium() else { return };
-    let scene = turning(SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 }, 500, 1500, 300);
+    let Some(program) = find_chromium() else {
+        return;
+    };
+    let scene = turning(
+        SplatLayout {
+            isotropic: false,
+            sh_degree: 1,
+            time_degree: 0,
+        },
+        500,
+        1500,
+        300,
+    );
     let folder = tempfile::tempdir().unwrap();
     let mut page = Chromium::open(program.clone(), &written(&scene, folder.path()));
     page.eval("minute4d.ready");
     assert_eq!(page.eval("minute4d.state().splats"), json!(2300));
     let camera = camera_for(&mut page);
-    let given = Scene { splats: decode(&told(&scene).1).unwrap(), ..scene.clone() };
+    let given = Scene {
+        splats: decode(&told(&scene).1).unwrap(),
+        ..scene.clone()
+    };
     // without them: an image that would pass without bound splats says nothing
-    let rows: Vec<u32> = (0..2300).filter(|&r| !scene.splats.bound().contains(&(r as usize))).collect();
-    let without = Scene { splats: scene.splats.gather(&rows).unwrap(), ..scene.clone() };
+    let rows: Vec<u32> = (0..2300)
+        .filter(|&r| !scene.splats.bound().contains(&(r as usize)))
+        .collect();
+    let without = Scene {
+        splats: scene.splats.gather(&rows).unwrap(),
+        ..scene.clone()
+    };
     // at keys, between them, and where one window takes over from the other
     for t in [0.0, 2.5, 4.5, 6.8, 9.0] {
         stand(&mut page, &camera, t);
@@ -159,7 +218,10 @@ fn page_carries_bound_splats_as_the_renderer_does() {
         eprintln!(
             "t = {t}: {same:.2} dB from our renderer, {quantised:.2} dB with the quantisation, {gone:.2} without"
         );
-        assert!(same > SAME_SPLATS_DB && quantised > QUANTISED_DB && gone < 25.0, "t = {t}: {same:.2}, {quantised:.2}");
+        assert!(
+            same > SAME_SPLATS_DB && quantised > QUANTISED_DB && gone < 25.0,
+            "t = {t}: {same:.2}, {quantised:.2}"
+        );
     }
     let last = capture(&mut page);
     drop(page);
@@ -177,12 +239,17 @@ fn page_carries_bound_splats_as_the_renderer_does() {
     show(&scene);
     page.wait_for("minute4d.state().splats === 2300");
     stand(&mut page, &camera, 9.0);
-    assert!(last == capture(&mut page), "the server's page draws another image than the file");
+    assert!(
+        last == capture(&mut page),
+        "the server's page draws another image than the file"
+    );
 }
 
 #[test]
 fn page_matches_the_renderer_from_file_and_server() {
-    let Some(program) = find_chromium() else { return };
+    let Some(program) = find_chromium() else {
+        return;
+    };
     let scene = scene();
     let folder = tempfile::tempdir().unwrap();
     let mut page = Chromium::open(program.clone(), &written(&scene, folder.path()));
@@ -195,18 +262,33 @@ fn page_matches_the_renderer_from_file_and_server() {
         })
     };
     let first = look(&mut page);
-    assert!(first == look(&mut page), "the settled image of a time is the same, bit for bit");
+    assert!(
+        first == look(&mut page),
+        "the settled image of a time is the same, bit for bit"
+    );
     let images: Vec<RgbImage> = first.iter().map(|png| decoded(png)).collect();
     for i in 0..3 {
         let db = psnr_db(&images[i], &images[(i + 1) % 3]);
-        assert!(db < 30.0, "times {i} and {} look alike: {db:.1} dB", (i + 1) % 3);
+        assert!(
+            db < 30.0,
+            "times {i} and {} look alike: {db:.1} dB",
+            (i + 1) % 3
+        );
     }
-    let given = Scene { splats: decode(&told(&scene).1).unwrap(), ..scene.clone() };
+    let given = Scene {
+        splats: decode(&told(&scene).1).unwrap(),
+        ..scene.clone()
+    };
     for (image, t) in images.iter().zip(TIMES) {
         let same = psnr_db(image, &drawn(&given, &camera, t));
         let quantised = psnr_db(image, &drawn(&scene, &camera, t));
-        eprintln!("t = {t}: {same:.2} dB from our renderer, {quantised:.2} dB with the quantisation of the page");
-        assert!(same > SAME_SPLATS_DB && quantised > QUANTISED_DB, "t = {t}: {same:.2} and {quantised:.2} dB");
+        eprintln!(
+            "t = {t}: {same:.2} dB from our renderer, {quantised:.2} dB with the quantisation of the page"
+        );
+        assert!(
+            same > SAME_SPLATS_DB && quantised > QUANTISED_DB,
+            "t = {t}: {same:.2} and {quantised:.2} dB"
+        );
     }
     let others = "performance.getEntriesByType('resource').map(e => e.name).filter(n => !/^(data|blob|file):/.test(n))";
     assert_eq!(page.eval(others), json!([]), "the page sends no request");
@@ -214,7 +296,10 @@ fn page_matches_the_renderer_from_file_and_server() {
 
     // the server starts with another scene: the page has to hear of this one and take it
     let mut earlier = scene.clone();
-    earlier.splats = earlier.splats.gather(&(0..100).collect::<Vec<u32>>()).unwrap();
+    earlier.splats = earlier
+        .splats
+        .gather(&(0..100).collect::<Vec<u32>>())
+        .unwrap();
     let hub = Hub::waiting("five thousand splats");
     let show = |scene: &Scene| {
         let (manifest, payload) = told(scene);
@@ -227,24 +312,43 @@ fn page_matches_the_renderer_from_file_and_server() {
     assert_eq!(page.eval("minute4d.state().splats"), json!(100));
     show(&scene);
     page.wait_for("minute4d.state().splats !== 100");
-    assert!(first == look(&mut page), "the server's page draws other images than the file");
+    assert!(
+        first == look(&mut page),
+        "the server's page draws other images than the file"
+    );
 }
 
 /// Names of clips that end an element of a page, or begin what a browser does not end there.
-const HOSTILE: [&str; 2] = ["<!--<script>", "</script><script>window.broken = 1</script><!--"];
+const HOSTILE: [&str; 2] = [
+    "<!--<script>",
+    "</script><script>window.broken = 1</script><!--",
+];
 
 #[test]
 fn a_clip_may_have_any_name() {
-    let Some(program) = find_chromium() else { return };
+    let Some(program) = find_chromium() else {
+        return;
+    };
     let mut scene = scene();
-    scene.splats = scene.splats.gather(&(0..100).collect::<Vec<u32>>()).unwrap();
+    scene.splats = scene
+        .splats
+        .gather(&(0..100).collect::<Vec<u32>>())
+        .unwrap();
     let (mut manifest, payload) = told(&scene);
     let folder = tempfile::tempdir().unwrap();
     for title in HOSTILE {
         manifest.title = title.to_owned();
-        let parts = Parts { manifest: &manifest, payload: Some(&payload), frames: None };
+        let parts = Parts {
+            manifest: &manifest,
+            payload: Some(&payload),
+            frames: None,
+        };
         let path = folder.path().join("viewer.html");
-        std::fs::write(&path, page::compose(TEMPLATE, &parts, Compression::default()).unwrap()).unwrap();
+        std::fs::write(
+            &path,
+            page::compose(TEMPLATE, &parts, Compression::default()).unwrap(),
+        )
+        .unwrap();
         let mut page = Chromium::open(program.clone(), &format!("file://{}", path.display()));
         page.eval("minute4d.ready");
         assert_eq!(page.eval("minute4d.state().splats"), json!(100), "{title}");

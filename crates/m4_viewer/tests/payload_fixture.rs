@@ -1,5 +1,5 @@
-//! The same bytes, read by Rust here and by the page's TypeScript in `page/tests/payload.test.ts`: both
-//! are compared with the splats that went in, which stand in the fixture in words.
+//! The same bytes, read by Rust here and by the page's TypeScript in `page/tests/payload.test.ts`:
+//! both are compared with the splats that went in, which stand in the fixture in words.
 
 use crate::bound::carried;
 use crate::turning::{DISTANCE, turning};
@@ -15,8 +15,18 @@ const FRAMES: usize = 10;
 const MEDIAN_DEPTH: f64 = 4.0;
 
 fn scene(layout: SplatLayout) -> Scene {
-    let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.0, 0.0, 4.0]);
-    let spec = SceneSpec { layout, n_static: 7, n_dynamic: 5, time_frames: FRAMES, ..SceneSpec::default() };
+    let camera = camera_looking_at(
+        Intrinsics::centred(160, 120, 140.0),
+        [0.3, 0.1, -0.5],
+        [0.0, 0.0, 4.0],
+    );
+    let spec = SceneSpec {
+        layout,
+        n_static: 7,
+        n_dynamic: 5,
+        time_frames: FRAMES,
+        ..SceneSpec::default()
+    };
     Scene {
         splats: random_splats(21, &camera, &spec),
         background: [0.0; 3],
@@ -24,13 +34,25 @@ fn scene(layout: SplatLayout) -> Scene {
         duration_s: None,
         mip: true,
         near: 0.05,
-        source: vec![SourceFrame { camera, t: 0.0, exposure: Exposure::IDENTITY }],
+        source: vec![SourceFrame {
+            camera,
+            t: 0.0,
+            exposure: Exposure::IDENTITY,
+        }],
     }
 }
 
 fn layouts() -> [(&'static str, SplatLayout); 3] {
-    let layout = |isotropic, sh_degree, time_degree| SplatLayout { isotropic, sh_degree, time_degree };
-    [("plain", layout(false, 0, 0)), ("isotropic", layout(true, 0, 0)), ("harmonics", layout(false, 2, 1))]
+    let layout = |isotropic, sh_degree, time_degree| SplatLayout {
+        isotropic,
+        sh_degree,
+        time_degree,
+    };
+    [
+        ("plain", layout(false, 0, 0)),
+        ("isotropic", layout(true, 0, 0)),
+        ("harmonics", layout(false, 2, 1)),
+    ]
 }
 
 fn path(name: &str) -> PathBuf {
@@ -39,9 +61,14 @@ fn path(name: &str) -> PathBuf {
 
 /// Columns of one parameter, splat by splat, after a map.
 fn values(splats: &Splats, column: Column, map: impl Fn(f64) -> f64) -> Vec<f64> {
-    let columns: Vec<&[f32]> = (0..splats.layout().range(column).len()).map(|k| splats.column(column, k)).collect();
+    let columns: Vec<&[f32]> = (0..splats.layout().range(column).len())
+        .map(|k| splats.column(column, k))
+        .collect();
     let rows = columns.first().map_or(0, |c| c.len());
-    (0..rows).flat_map(|row| columns.iter().map(move |c| f64::from(c[row]))).map(map).collect()
+    (0..rows)
+        .flat_map(|row| columns.iter().map(move |c| f64::from(c[row])))
+        .map(map)
+        .collect()
 }
 
 /// The splats in the page's units.
@@ -84,9 +111,14 @@ fn fixture(name: &str, layout: SplatLayout) -> Value {
     })
 }
 
-/// A scene with bound splats as bytes, with poses of its nodes and what they make of splats at some times, by the definition of the renderer.
+/// A scene with bound splats as bytes, with poses of its nodes and what they make of splats at some
+/// times, by the definition of the renderer.
 fn turning_fixture() -> Value {
-    let layout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 1,
+        time_degree: 0,
+    };
     let payload = encode(&turning(layout, 60, 180, 40), DISTANCE);
     let back = decode(&payload.bytes).unwrap();
     let times = [0.0, 0.4, 3.0, 4.7, 6.5, 8.9];
@@ -138,7 +170,11 @@ fn write_fixtures() {
         let text = serde_json::to_string(&fixture(name, layout)).unwrap();
         std::fs::write(path(name), text + "\n").unwrap();
     }
-    std::fs::write(path("turning"), serde_json::to_string(&turning_fixture()).unwrap() + "\n").unwrap();
+    std::fs::write(
+        path("turning"),
+        serde_json::to_string(&turning_fixture()).unwrap() + "\n",
+    )
+    .unwrap();
 }
 
 #[test]
@@ -146,18 +182,37 @@ fn the_fixture_of_bound_splats_matches_the_writer() {
     let kept: Value = serde_json::from_slice(&std::fs::read(path("turning")).unwrap()).unwrap();
     let written = turning_fixture();
     for part in ["splats", "payload"] {
-        assert_eq!(kept[part], written[part], "write the fixtures again if the layout was changed");
+        assert_eq!(
+            kept[part], written[part],
+            "write the fixtures again if the layout was changed"
+        );
     }
     let numbers = |list: &Value| -> Vec<f64> {
-        let fields = |entry: &Value| entry.as_object().unwrap().values().cloned().collect::<Vec<Value>>();
+        let fields = |entry: &Value| {
+            entry
+                .as_object()
+                .unwrap()
+                .values()
+                .cloned()
+                .collect::<Vec<Value>>()
+        };
         let flat = |v: Value| v.as_array().cloned().unwrap_or_else(|| vec![v]);
-        list.as_array().unwrap().iter().flat_map(fields).flat_map(flat).map(|v| v.as_f64().unwrap()).collect()
+        list.as_array()
+            .unwrap()
+            .iter()
+            .flat_map(fields)
+            .flat_map(flat)
+            .map(|v| v.as_f64().unwrap())
+            .collect()
     };
     for part in ["poses", "carried"] {
         let (a, b) = (numbers(&kept[part]), numbers(&written[part]));
         assert!(a.len() == b.len() && a.len() > 100, "{part}");
         // sines may differ in the last bit from machine to machine
-        assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{part}");
+        assert!(
+            a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5),
+            "{part}"
+        );
     }
 }
 
@@ -167,7 +222,10 @@ fn payload_fixtures_match_the_writer() {
         let kept: Value = serde_json::from_slice(&std::fs::read(path(name)).unwrap()).unwrap();
         let bytes = STANDARD.decode(kept["payload"].as_str().unwrap()).unwrap();
         let written = encode(&scene(layout), MEDIAN_DEPTH);
-        assert_eq!(bytes, written.bytes, "{name}: write the fixtures again if the layout was changed");
+        assert_eq!(
+            bytes, written.bytes,
+            "{name}: write the fixtures again if the layout was changed"
+        );
         let back = words(&decode(&bytes).unwrap());
         // what half a step makes of each, see the tests of the payload
         let within = [
@@ -185,7 +243,10 @@ fn payload_fixtures_match_the_writer() {
             assert!(a.len() == b.len() && !a.is_empty(), "{name}: {column}");
             for (a, b) in a.iter().zip(&b) {
                 let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());
-                assert!((a - b).abs() <= absolute + relative * a.abs(), "{name}: {column} {a} {b}");
+                assert!(
+                    (a - b).abs() <= absolute + relative * a.abs(),
+                    "{name}: {column} {a} {b}"
+                );
             }
         }
     }

@@ -1,7 +1,8 @@
 //! A scene with bound splats, for the tests of the payload and of the page.
 
 use m4_core::{
-    Binding, Column, CounterRng, Exposure, Intrinsics, Pose, Scene, SourceFrame, SplatLayout, Window,
+    Binding, Column, CounterRng, Exposure, Intrinsics, Pose, Scene, SourceFrame, SplatLayout,
+    Window,
     nalgebra::{UnitQuaternion, Vector3},
 };
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
@@ -17,9 +18,14 @@ const TURN: f32 = 0.25;
 /// Keys of the windows, frames; the gaps of the second are unequal.
 const KEYS: [&[f32]; 2] = [&[0.0, 1.0, 2.0, 3.0, 4.0], &[5.0, 6.0, 7.5, 9.0]];
 
-/// Splats that stay, splats of an object that turns about an axis while it goes aside, in two windows, and splats that come and go.
+/// Splats that stay, splats of an object that turns about an axis while it goes aside, in two
+/// windows, and splats that come and go.
 pub fn turning(layout: SplatLayout, n_static: usize, n_bound: usize, n_free: usize) -> Scene {
-    let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.1, 0.0, 0.0], [0.0, 0.0, DISTANCE]);
+    let camera = camera_looking_at(
+        Intrinsics::centred(160, 120, 140.0),
+        [0.1, 0.0, 0.0],
+        [0.0, 0.0, DISTANCE],
+    );
     let spec = SceneSpec {
         layout,
         n_static,
@@ -34,7 +40,9 @@ pub fn turning(layout: SplatLayout, n_static: usize, n_bound: usize, n_free: usi
     let mut bindings = Vec::new();
     for i in 0..n_bound {
         let index = i % 2;
-        let (window, mut between) = (&windows[index], |low: f64, high: f64| low + (high - low) * rng.uniform());
+        let (window, mut between) = (&windows[index], |low: f64, high: f64| {
+            low + (high - low) * rng.uniform()
+        });
         let keys = window.keys();
         let own: [f32; 3] = std::array::from_fn(|k| (middle(keys)[k] + between(-0.9, 0.9)) as f32);
         let born = between(0.0, keys.len() as f64) as usize;
@@ -48,7 +56,12 @@ pub fn turning(layout: SplatLayout, n_static: usize, n_bound: usize, n_free: usi
             _ => [keys[born] - length, keys[born] + length],
         };
         let (nodes, weights) = nearest(window, &own);
-        bindings.push(Binding { window: index as u32, nodes, weights, life });
+        bindings.push(Binding {
+            window: index as u32,
+            nodes,
+            weights,
+            life,
+        });
         for k in 0..3 {
             splats.column_mut(Column::Mean, k)[n_static + i] = own[k];
             splats.column_mut(Column::Velocity, k)[i] = between(-0.01, 0.01) as f32;
@@ -58,7 +71,11 @@ pub fn turning(layout: SplatLayout, n_static: usize, n_bound: usize, n_free: usi
         splats.column_mut(Column::LogTimeSd, 0)[i] = length.ln();
     }
     splats.bind(Arc::new(windows), bindings).unwrap();
-    let source = (0..FRAMES).map(|i| SourceFrame { camera, t: i as f64, exposure: Exposure::IDENTITY });
+    let source = (0..FRAMES).map(|i| SourceFrame {
+        camera,
+        t: i as f64,
+        exposure: Exposure::IDENTITY,
+    });
     Scene {
         splats,
         background: [0.1, 0.2, 0.3],
@@ -79,7 +96,9 @@ fn window(keys: &[f32], rng: &mut CounterRng) -> Window {
     let mut number = |size: f64| (size * (2.0 * rng.uniform() - 1.0)) as f32;
     let still = keys[keys.len() / 2];
     let centre = Vector3::from(middle(keys).map(|v| v as f32));
-    let anchors: Vec<[f32; 3]> = (0..NODES).map(|_| [0, 1, 2].map(|k| centre[k] + number(1.0))).collect();
+    let anchors: Vec<[f32; 3]> = (0..NODES)
+        .map(|_| [0, 1, 2].map(|k| centre[k] + number(1.0)))
+        .collect();
     let mut poses = Vec::new();
     for key in keys {
         for anchor in &anchors {
@@ -91,7 +110,10 @@ fn window(keys: &[f32], rng: &mut CounterRng) -> Window {
             // either sign is the same rotation
             let sign = if number(1.0) < 0.0 { -1.0 } else { 1.0 };
             let rotation = [q.w, q.i, q.j, q.k].map(|v| sign * v);
-            poses.push(Pose { position: position.into(), rotation });
+            poses.push(Pose {
+                position: position.into(),
+                rotation,
+            });
         }
     }
     Window::new(keys.to_vec(), anchors, poses).unwrap()
@@ -104,5 +126,8 @@ fn nearest(window: &Window, place: &[f32; 3]) -> ([u16; 4], [f32; 4]) {
     order.sort_by(|a, b| a.0.total_cmp(&b.0));
     let near: [(f32, u16); 4] = std::array::from_fn(|k| order[k]);
     let raw = near.map(|(square, _)| (-2.0 * square).exp());
-    (near.map(|(_, node)| node), raw.map(|w| w / raw.iter().sum::<f32>()))
+    (
+        near.map(|(_, node)| node),
+        raw.map(|w| w / raw.iter().sum::<f32>()),
+    )
 }

@@ -1,4 +1,5 @@
-//! Finished steps of a long computation, so that an interrupted one continues after the last of them.
+//! Finished steps of a long computation, so that an interrupted one continues after the last of
+//! them.
 
 use crate::observer::Recording;
 use m4_core::Progress;
@@ -9,7 +10,8 @@ pub trait StepCache: Sync {
     /// Returns the bytes of a step; `None` if there are none that can be trusted.
     fn get(&self, name: &str) -> Option<Vec<u8>>;
 
-    /// Keeps the bytes of a step; a failure costs time when the work is interrupted, and nothing else.
+    /// Keeps the bytes of a step; a failure costs time when the work is interrupted, and nothing
+    /// else.
     fn put(&self, name: &str, bytes: Vec<u8>);
 }
 
@@ -31,8 +33,8 @@ impl<'a> Steps<'a> {
         self.progress
     }
 
-    /// Returns the value of a step: from the cache, with its warnings repeated, or computed by `work` and kept. Warnings of
-    /// `work` go to the progress that it is given.
+    /// Returns the value of a step: from the cache, with its warnings repeated, or computed by
+    /// `work` and kept. Warnings of `work` go to the progress that it is given.
     pub(crate) fn keep<T: Serialize + DeserializeOwned, E>(
         &self,
         name: &str,
@@ -116,7 +118,11 @@ mod tests {
         let steps = Steps::new(&warnings, Some(&cache));
         let nan = f64::from_bits(0x7ff8_0000_dead_beef);
         assert_eq!(step(&steps, nan).to_bits(), nan.to_bits());
-        assert_eq!(step(&steps, 1.0).to_bits(), nan.to_bits(), "from the cache, bit by bit");
+        assert_eq!(
+            step(&steps, 1.0).to_bits(),
+            nan.to_bits(),
+            "from the cache, bit by bit"
+        );
         assert_eq!(*warnings.0.lock().unwrap(), ["blurred", "blurred"]);
         let none = Steps::new(&warnings, None);
         assert_eq!((step(&none, 2.0), step(&none, 3.0)), (2.0, 3.0), "no cache");
@@ -126,8 +132,17 @@ mod tests {
     fn flow_comes_back_bit_by_bit() {
         let (cache, warnings) = (Memory::default(), Warnings::default());
         let steps = Steps::new(&warnings, Some(&cache));
-        let numbers = |offset: u32| (0..35).map(|i| f32::from_bits(0x7f80_0000 - 17 + offset + i)).collect();
-        let flow = Flow { width: 7, height: 5, u: numbers(0), v: numbers(1) };
+        let numbers = |offset: u32| {
+            (0..35)
+                .map(|i| f32::from_bits(0x7f80_0000 - 17 + offset + i))
+                .collect()
+        };
+        let flow = Flow {
+            width: 7,
+            height: 5,
+            u: numbers(0),
+            v: numbers(1),
+        };
         steps.store("flow", &flow);
         let back: Flow = steps.load("flow").unwrap();
         let bits = |values: &[f32]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();

@@ -9,8 +9,8 @@ use std::str::FromStr;
 /// Where kernels are asked to run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum DeviceChoice {
-    /// The best GPU that is a card of its own, or the processor where there is none or it does not start: others have not been
-    /// measured, and the processor's own path is faster than software.
+    /// The best GPU that is a card of its own, or the processor where there is none or it does not
+    /// start: others have not been measured, and the processor's own path is faster than software.
     #[default]
     Auto,
     /// The processor.
@@ -52,13 +52,13 @@ impl fmt::Display for DeviceChoice {
 }
 
 impl DeviceChoice {
-    /// The GPU that is chosen, ready for work; `None` where that is the processor. `warn` gets the reason where the GPU that
-    /// [`Self::Auto`] chose does not start.
+    /// The GPU that is chosen, ready for work; `None` where that is the processor. `warn` gets the
+    /// reason where the GPU that [`Self::Auto`] chose does not start.
     ///
     /// # Errors
     ///
-    /// [`Error::Gpu`] if there is no such GPU or it does not start; [`Error::NoGpuSupport`] where one is asked for and this
-    /// build has no support for it.
+    /// [`Error::Gpu`] if there is no such GPU or it does not start; [`Error::NoGpuSupport`] where
+    /// one is asked for and this build has no support for it.
     pub fn open(self, warn: impl FnOnce(&str)) -> Result<Option<OpenGpu>, Error> {
         match self {
             Self::Cpu => Ok(None),
@@ -83,7 +83,8 @@ impl DeviceChoice {
         }
     }
 
-    /// Where networks run by this choice: on a GPU that was asked for only, since they have not been measured on one.
+    /// Where networks run by this choice: on a GPU that was asked for only, since they have not
+    /// been measured on one.
     ///
     /// # Errors
     ///
@@ -107,7 +108,10 @@ pub struct DeviceRequest {
 
 impl From<DeviceChoice> for DeviceRequest {
     fn from(choice: DeviceChoice) -> Self {
-        Self { choice, max_vram_mb: None }
+        Self {
+            choice,
+            max_vram_mb: None,
+        }
     }
 }
 
@@ -160,13 +164,21 @@ mod gpu {
 
     impl OpenGpu {
         pub(super) fn automatic() -> Result<Option<Self>, Error> {
-            let Some(adapter) = automatic(adapters()) else { return Ok(None) };
-            Ok(Some(Self { automatic: true, ..Self::open(Some(adapter.index))? }))
+            let Some(adapter) = automatic(adapters()) else {
+                return Ok(None);
+            };
+            Ok(Some(Self {
+                automatic: true,
+                ..Self::open(Some(adapter.index))?
+            }))
         }
 
         pub(super) fn open(index: Option<usize>) -> Result<Self, Error> {
             let gpu = Gpu::open(index.map_or(Choice::Best, Choice::Index))?;
-            Ok(Self { gpu, automatic: false })
+            Ok(Self {
+                gpu,
+                automatic: false,
+            })
         }
 
         /// Whether no one asked for it: where it fails, the CPU goes on.
@@ -194,16 +206,23 @@ mod gpu {
 
         /// Draws `splats` on it.
         pub fn painter(&self, splats: &Splats) -> Result<GpuPainter, Error> {
-            Ok(GpuPainter { renderer: Renderer::new(self.gpu.clone(), splats)? })
+            Ok(GpuPainter {
+                renderer: Renderer::new(self.gpu.clone(), splats)?,
+            })
         }
 
         /// Takes the steps of a training by `config` on it, within `max_vram_mb`.
-        pub fn training(&self, max_vram_mb: Option<usize>, config: &TrainConfig) -> Box<dyn Backend> {
+        pub fn training(
+            &self,
+            max_vram_mb: Option<usize>,
+            config: &TrainConfig,
+        ) -> Box<dyn Backend> {
             Box::new(GpuBackend::new(self.gpu.clone(), max_vram_mb, config))
         }
 
-        /// Compiles the kernels of a training by `config` of splats of `layout`, as [`m4_train::warm_up`] does, and gives the memory
-        /// for it back. What fails here fails again in the training, which then says so.
+        /// Compiles the kernels of a training by `config` of splats of `layout`, as
+        /// [`m4_train::warm_up`] does, and gives the memory for it back. What fails here fails
+        /// again in the training, which then says so.
         pub(crate) fn warm_up(
             &self,
             capture: &Capture,
@@ -277,7 +296,13 @@ mod gpu {
             match *self {}
         }
 
-        pub(crate) fn warm_up(&self, _: &Capture, _: SplatLayout, _: &TrainConfig, _: Option<usize>) {
+        pub(crate) fn warm_up(
+            &self,
+            _: &Capture,
+            _: SplatLayout,
+            _: &TrainConfig,
+            _: Option<usize>,
+        ) {
             match *self {}
         }
     }
@@ -306,7 +331,10 @@ mod tests {
         assert_eq!(named("gpu"), Ok(DeviceChoice::Gpu(None)));
         assert_eq!(named("gpu:2"), Ok(DeviceChoice::Gpu(Some(2))));
         for name in ["auto", "cpu", "gpu", "gpu:2"] {
-            assert_eq!(named(name).map(|device| device.to_string()), Ok(name.to_owned()));
+            assert_eq!(
+                named(name).map(|device| device.to_string()),
+                Ok(name.to_owned())
+            );
         }
         for wrong in ["", "GPU", "gpu:", "gpu:-1", "gpu:one", "cuda"] {
             assert_eq!(named(wrong), Err(UnknownDevice), "{wrong}");

@@ -1,5 +1,5 @@
-//! The environment of child processes: what a run needs is passed on, and nothing else. Keys and tokens of who started the program are
-//! not for the decoders of a stranger's clip.
+//! The environment of child processes: what a run needs is passed on, and nothing else. Keys and
+//! tokens of who started the program are not for the decoders of a stranger's clip.
 
 use std::process::Command;
 
@@ -40,7 +40,8 @@ const NAMES: [&str; 32] = [
     "PROCESSOR_ARCHITECTURE",
 ];
 
-/// Starts of the names of variables that are passed on: settings of ours, of threads, and of drivers of graphics cards.
+/// Starts of the names of variables that are passed on: settings of ours, of threads, and of
+/// drivers of graphics cards.
 const STARTS: [&str; 15] = [
     "LC_",
     "XDG_",
@@ -59,7 +60,8 @@ const STARTS: [&str; 15] = [
     "ROCR_",
 ];
 
-/// Gives `command` of this process's environment what a run needs, variables that start with one of `more`, and nothing else.
+/// Gives `command` of this process's environment what a run needs, variables that start with one of
+/// `more`, and nothing else.
 pub fn pass_on(command: &mut Command, more: &[&str]) {
     let needed = |name: &str| is_needed(name) || more.iter().any(|start| name.starts_with(start));
     command.env_clear();
@@ -68,7 +70,11 @@ pub fn pass_on(command: &mut Command, more: &[&str]) {
 
 /// Whether a run needs the variable. Windows does not tell small letters from capital ones.
 fn is_needed(name: &str) -> bool {
-    let name = if cfg!(windows) { name.to_ascii_uppercase() } else { name.to_owned() };
+    let name = if cfg!(windows) {
+        name.to_ascii_uppercase()
+    } else {
+        name.to_owned()
+    };
     NAMES.contains(&name.as_str()) || STARTS.iter().any(|start| name.starts_with(start))
 }
 
@@ -78,9 +84,15 @@ mod tests {
 
     #[test]
     fn places_languages_and_devices_are_passed_on_and_keys_are_not() {
-        for name in
-            ["PATH", "HOME", "LC_ALL", "XDG_CACHE_HOME", "MINUTE4D_WEIGHTS", "CUDA_VISIBLE_DEVICES", "VK_ICD_FILENAMES"]
-        {
+        for name in [
+            "PATH",
+            "HOME",
+            "LC_ALL",
+            "XDG_CACHE_HOME",
+            "MINUTE4D_WEIGHTS",
+            "CUDA_VISIBLE_DEVICES",
+            "VK_ICD_FILENAMES",
+        ] {
             assert!(is_needed(name), "{name}");
         }
         for name in [

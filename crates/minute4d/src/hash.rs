@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 /// Name of the record in a capture, which is not a part of its content.
 pub const RECORD_FILE: &str = "geometry.json";
 
-/// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
+/// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder;
+/// hexadecimal.
 ///
 /// Hidden files and the program's own records are left out.
 ///
@@ -23,8 +24,8 @@ pub fn of_path(path: &Path) -> Result<String, Error> {
     of_input(path, None, &Silent)
 }
 
-/// The same of an input, which may be large: ends where the caller asks to stop. Results may be in the folder that they are made from:
-/// the folder `out` in it is left out.
+/// The same of an input, which may be large: ends where the caller asks to stop. Results may be in
+/// the folder that they are made from: the folder `out` in it is left out.
 ///
 /// # Errors
 ///
@@ -60,7 +61,8 @@ pub fn of_parts(parts: &[&str]) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// Returns the BLAKE3 hash of everything that training reads of a capture: cameras, times, images, depth, masks and tracks.
+/// Returns the BLAKE3 hash of everything that training reads of a capture: cameras, times, images,
+/// depth, masks and tracks.
 pub fn of_capture(capture: &Capture) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&(capture.time_frames as u64).to_le_bytes());
@@ -71,8 +73,21 @@ pub fn of_capture(capture: &Capture) -> String {
     // Without tracks the hash is what it was before there were any.
     if let Some(tracks) = &capture.tracks {
         size_into((tracks.frames(), tracks.count()), &mut hasher);
-        hasher.update(&tracks.xyz().as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
-        hasher.update(&tracks.visible().iter().map(|&v| u8::from(v)).collect::<Vec<u8>>());
+        hasher.update(
+            &tracks
+                .xyz()
+                .as_flattened()
+                .iter()
+                .flat_map(|v| v.to_le_bytes())
+                .collect::<Vec<u8>>(),
+        );
+        hasher.update(
+            &tracks
+                .visible()
+                .iter()
+                .map(|&v| u8::from(v))
+                .collect::<Vec<u8>>(),
+        );
     }
     hasher.finalize().to_hex().to_string()
 }
@@ -83,14 +98,26 @@ fn of_frame(frame: &CaptureFrame) -> blake3::Hash {
     size_into((k.width, k.height), &mut hasher);
     let pose = &frame.camera.c2w;
     let numbers = [k.fx, k.fy, k.cx, k.cy, frame.t];
-    for x in numbers.iter().chain(pose.rotation.iter()).chain(pose.translation.iter()) {
+    for x in numbers
+        .iter()
+        .chain(pose.rotation.iter())
+        .chain(pose.translation.iter())
+    {
         hasher.update(&x.to_le_bytes());
     }
     size_into(frame.rgb.size(), &mut hasher);
     hasher.update(frame.rgb.data().as_flattened());
-    size_into(frame.depth.as_ref().map_or((0, 0), CompactDepth::size), &mut hasher);
+    size_into(
+        frame.depth.as_ref().map_or((0, 0), CompactDepth::size),
+        &mut hasher,
+    );
     if let Some(depth) = &frame.depth {
-        hasher.update(&depth.every(1).flat_map(f32::to_le_bytes).collect::<Vec<u8>>());
+        hasher.update(
+            &depth
+                .every(1)
+                .flat_map(f32::to_le_bytes)
+                .collect::<Vec<u8>>(),
+        );
     }
     let mask = frame.mask.as_ref().map(CompactMask::to_mask);
     size_into(mask.as_ref().map_or((0, 0), Plane::size), &mut hasher);
@@ -109,7 +136,10 @@ pub struct HashedCapture {
 impl HashedCapture {
     /// Hashes a capture.
     pub fn new(capture: Capture) -> Self {
-        Self { hash: of_capture(&capture), capture }
+        Self {
+            hash: of_capture(&capture),
+            capture,
+        }
     }
 }
 
@@ -141,9 +171,17 @@ impl Read for Watched<'_> {
     }
 }
 
-fn list(root: &Path, folder: &Path, out: Option<&Path>, files: &mut Vec<PathBuf>) -> Result<(), Error> {
+fn list(
+    root: &Path,
+    folder: &Path,
+    out: Option<&Path>,
+    files: &mut Vec<PathBuf>,
+) -> Result<(), Error> {
     let full = root.join(folder);
-    let failed = |source| Error::Read { path: full.clone(), source };
+    let failed = |source| Error::Read {
+        path: full.clone(),
+        source,
+    };
     for entry in fs::read_dir(&full).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let name = entry.file_name();
@@ -154,7 +192,10 @@ fn list(root: &Path, folder: &Path, out: Option<&Path>, files: &mut Vec<PathBuf>
         }
         let relative = folder.join(&name);
         // `metadata` follows links, so that a folder of links counts by what it shows.
-        let kind = fs::metadata(entry.path()).map_err(|source| Error::Read { path: entry.path(), source })?;
+        let kind = fs::metadata(entry.path()).map_err(|source| Error::Read {
+            path: entry.path(),
+            source,
+        })?;
         if kind.is_dir() {
             if out.is_none_or(|out| entry.path().canonicalize().ok().as_deref() != Some(out)) {
                 list(root, &relative, out, files)?;
@@ -181,12 +222,20 @@ mod tests {
         std::os::unix::fs::symlink(&b, &a).unwrap();
         let said = of_path(dir.path()).unwrap_err().to_string();
         assert!(said.contains("a.png") || said.contains("b.png"), "{said}");
-        let missing = crate::Error::Missing { what: "capture", path: a };
+        let missing = crate::Error::Missing {
+            what: "capture",
+            path: a,
+        };
         assert!(
-            missing.to_string().ends_with("a.png, which is a link that leads nowhere, or in a circle"),
+            missing
+                .to_string()
+                .ends_with("a.png, which is a link that leads nowhere, or in a circle"),
             "{missing}"
         );
-        let missing = crate::Error::Missing { what: "capture", path: dir.path().join("c") };
+        let missing = crate::Error::Missing {
+            what: "capture",
+            path: dir.path().join("c"),
+        };
         assert!(missing.to_string().ends_with("/c"), "{missing}");
     }
 
@@ -197,7 +246,10 @@ mod tests {
         fs::write(&path, vec![7; 4 << 20]).unwrap();
         let stop = StopAtPoll::after(3);
         assert!(of_input(&path, None, &stop).unwrap_err().is_stop());
-        assert_eq!(of_input(&path, None, &m4_core::Silent).unwrap(), of_path(&path).unwrap());
+        assert_eq!(
+            of_input(&path, None, &m4_core::Silent).unwrap(),
+            of_path(&path).unwrap()
+        );
     }
 
     #[test]
@@ -210,12 +262,22 @@ mod tests {
         let first = of_path(dir.path()).unwrap();
         write(".hidden", "3");
         write("geometry.json", "{}");
-        assert_eq!(of_path(dir.path()).unwrap(), first, "records and hidden files do not count");
+        assert_eq!(
+            of_path(dir.path()).unwrap(),
+            first,
+            "records and hidden files do not count"
+        );
         write("in/b", "22");
         let changed = of_path(dir.path()).unwrap();
         write("in/c", "result");
-        let without = |out: &str| of_input(dir.path(), Some(&dir.path().join(out)), &m4_core::Silent).unwrap();
-        assert!(without("in") == without("./in") && without("in") != changed && without("elsewhere") != changed);
+        let without = |out: &str| {
+            of_input(dir.path(), Some(&dir.path().join(out)), &m4_core::Silent).unwrap()
+        };
+        assert!(
+            without("in") == without("./in")
+                && without("in") != changed
+                && without("elsewhere") != changed
+        );
         fs::remove_file(dir.path().join("in/c")).unwrap();
         assert_ne!(changed, first);
         fs::rename(dir.path().join("a"), dir.path().join("c")).unwrap();

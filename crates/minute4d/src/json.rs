@@ -16,14 +16,18 @@ pub const MAX_RECORD_BYTES: u64 = 64 << 20;
 ///
 /// [`Error::Internal`] if the value cannot be written as JSON.
 pub fn plain_json(value: &impl Serialize) -> Result<Value, Error> {
-    let internal = |e: serde_json::Error| Error::Internal { what: e.to_string() };
+    let internal = |e: serde_json::Error| Error::Internal {
+        what: e.to_string(),
+    };
     // Through text: `to_value` would widen 0.1f32 to 0.10000000149011612.
     serde_json::from_str(&serde_json::to_string(value).map_err(internal)?).map_err(internal)
 }
 
 /// Converts a value to indented JSON, with keys in the order of its fields.
 fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Error::Internal { what: e.to_string() })?;
+    let text = serde_json::to_string_pretty(value).map_err(|e| Error::Internal {
+        what: e.to_string(),
+    })?;
     Ok(text + "\n")
 }
 
@@ -37,7 +41,9 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
     match files::read(path, MAX_RECORD_BYTES) {
         Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
-        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+            Ok(None)
+        }
         Err(source) => Err(Error::read(path)(source)),
     }
 }

@@ -42,9 +42,14 @@ pub enum Existing {
     Force,
 }
 
-/// Ends a replacement of results that was interrupted where `path` is a folder of results, or a file in one; for who reads it.
+/// Ends a replacement of results that was interrupted where `path` is a folder of results, or a
+/// file in one; for who reads it.
 pub fn settle(path: &Path) -> Result<(), Error> {
-    let folder = if path.is_dir() { Some(path) } else { path.parent() };
+    let folder = if path.is_dir() {
+        Some(path)
+    } else {
+        path.parent()
+    };
     Ok(folder.map_or(Ok(()), results::settle)?)
 }
 
@@ -57,10 +62,12 @@ pub fn claim(folder: &Path, kind: Kind, names: &[&str]) -> Result<(), Error> {
 #[must_use]
 pub fn is_capture(path: &Path) -> bool {
     let listed = ["transforms_train.json", "transforms.json"];
-    listed.iter().any(|name| path.join(name).is_file()) || path.extension().is_some_and(|e| e == "json")
+    listed.iter().any(|name| path.join(name).is_file())
+        || path.extension().is_some_and(|e| e == "json")
 }
 
-/// The names that a capture may use in its folder: its record, and those of the splits that are written.
+/// The names that a capture may use in its folder: its record, and those of the splits that are
+/// written.
 pub fn capture_names() -> impl Iterator<Item = &'static str> + Clone {
     let of = |split: Split| split.folders().into_iter().chain([split.file_name()]);
     [GEOMETRY_FILE, TRACKS_FILE, OBJECTS_FILE, COVISIBLE_FOLDER]
@@ -72,7 +79,10 @@ pub fn capture_names() -> impl Iterator<Item = &'static str> + Clone {
 /// Removes a file that may be missing.
 pub fn remove_file(path: &Path) -> Result<(), Error> {
     match fs::remove_file(path) {
-        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write { path: path.to_path_buf(), source }),
+        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write {
+            path: path.to_path_buf(),
+            source,
+        }),
         _ => Ok(()),
     }
 }

@@ -1,4 +1,5 @@
-//! Turns a casual video into a dynamic 3D scene: 4D Gaussian splats that a camera can look at from elsewhere, at any time.
+//! Turns a casual video into a dynamic 3D scene: 4D Gaussian splats that a camera can look at from
+//! elsewhere, at any time.
 //!
 //! ```no_run
 //! use minute4d::prelude::*;
@@ -16,12 +17,13 @@
 //! Video --reconstruct--> Capture --train--> Scene --at, render, write, export, page-->
 //! ```
 //!
-//! A stage is a function of its input, its [`Settings`] and the seed. It keeps nothing on disk; the program `minute4d` adds folders with
-//! records, checkpoints and resuming. [`geometry`], [`enhance`], [`train`](mod@train), [`mod@render`], [`export`] and [`page`] have the
-//! parts of the stages.
+//! A stage is a function of its input, its [`Settings`] and the seed. It keeps nothing on disk; the
+//! program `minute4d` adds folders with records, checkpoints and resuming. [`geometry`],
+//! [`enhance`], [`train`](mod@train), [`mod@render`], [`export`] and [`page`] have the parts of the
+//! stages.
 //!
-//! Clips are decoded in this process. A host that wants damaged clips to be decoded in a process of its own registers a program for it:
-//! [`m4_io::video::set_decoder_program`].
+//! Clips are decoded in this process. A host that wants damaged clips to be decoded in a process of
+//! its own registers a program for it: [`m4_io::video::set_decoder_program`].
 #![forbid(unsafe_code)]
 
 pub mod cache;

@@ -6,9 +6,14 @@ use m4_train::MetricsEvent;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// Fails with [`Error::Stopped`] if a stop was requested; `saved` says whether there is something to resume from.
+/// Fails with [`Error::Stopped`] if a stop was requested; `saved` says whether there is something
+/// to resume from.
 pub fn check_stop(progress: &dyn Progress, stage: &'static str, saved: bool) -> Result<(), Error> {
-    if progress.cancelled() { Err(Error::Stopped { stage, saved }) } else { Ok(()) }
+    if progress.cancelled() {
+        Err(Error::Stopped { stage, saved })
+    } else {
+        Ok(())
+    }
 }
 
 /// An event of a stage.
@@ -48,8 +53,8 @@ pub trait Observer: Progress {
         let _ = (metrics, iterations);
     }
 
-    /// Returns true if [`scene`](Self::scene) should be called; training asks between two steps, so the answer
-    /// must be cheap.
+    /// Returns true if [`scene`](Self::scene) should be called; training asks between two steps, so
+    /// the answer must be cheap.
     fn wants_scene(&self) -> bool {
         false
     }
@@ -66,7 +71,8 @@ impl Observer for m4_core::Silent {}
 /// A [`Recording`] of an observer.
 pub type RecordingObserver<'a> = Recording<'a, dyn Observer + 'a>;
 
-/// Forwards everything to an observer or another [`Progress`], and keeps the warnings for the record.
+/// Forwards everything to an observer or another [`Progress`], and keeps the warnings for the
+/// record.
 pub struct Recording<'a, P: ?Sized> {
     observer: &'a P,
     warnings: Mutex<Vec<String>>,
@@ -77,7 +83,11 @@ impl<'a, P: Progress + ?Sized> Recording<'a, P> {
     /// Creates one that forwards to `observer`.
     #[must_use]
     pub fn new(observer: &'a P) -> Self {
-        Self { observer, warnings: Mutex::new(Vec::new()), until: None }
+        Self {
+            observer,
+            warnings: Mutex::new(Vec::new()),
+            until: None,
+        }
     }
 
     /// Like [`new`](Self::new), but asks to stop after `end`.
@@ -89,7 +99,10 @@ impl<'a, P: Progress + ?Sized> Recording<'a, P> {
     /// Returns every warning so far, each once, in the order of first appearance.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.warnings
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
     }
 }
 

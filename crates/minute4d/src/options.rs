@@ -12,7 +12,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Event<'a> {
-    /// `done` of `total` steps of a phase are finished; `note` is a short figure for people, and may be empty.
+    /// `done` of `total` steps of a phase are finished; `note` is a short figure for people, and
+    /// may be empty.
     Progress {
         /// The phase.
         phase: &'a str,
@@ -73,7 +74,8 @@ impl<'a> Options<'a> {
         self
     }
 
-    /// Uses one seed for every random number. The same seed, input and settings give the same bits on the CPU.
+    /// Uses one seed for every random number. The same seed, input and settings give the same bits
+    /// on the CPU.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         self.settings.set_seed(seed);
@@ -131,7 +133,12 @@ impl fmt::Debug for Options<'_> {
 impl Progress for Options<'_> {
     fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
         if let Some(report) = &self.on_event {
-            report(Event::Progress { phase, done, total, note });
+            report(Event::Progress {
+                phase,
+                done,
+                total,
+                note,
+            });
         }
     }
 
@@ -142,7 +149,9 @@ impl Progress for Options<'_> {
     }
 
     fn cancelled(&self) -> bool {
-        self.cancel.as_ref().is_some_and(|cancel| cancel.load(Ordering::Relaxed))
+        self.cancel
+            .as_ref()
+            .is_some_and(|cancel| cancel.load(Ordering::Relaxed))
     }
 }
 
@@ -159,15 +168,24 @@ mod tests {
     fn reports_reach_the_closure_and_a_flag_cancels() {
         let (steps, warnings) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
         let cancel = Arc::new(AtomicBool::new(false));
-        let options = Options::new().cancel_with(Arc::clone(&cancel)).on_event(|event| match event {
-            Event::Progress { done, .. } => steps.store(done, Ordering::Relaxed),
-            Event::Warning(message) => warnings.lock().unwrap().push(message.to_owned()),
-        });
+        let options =
+            Options::new()
+                .cancel_with(Arc::clone(&cancel))
+                .on_event(|event| match event {
+                    Event::Progress { done, .. } => steps.store(done, Ordering::Relaxed),
+                    Event::Warning(message) => warnings.lock().unwrap().push(message.to_owned()),
+                });
         options.update("train", 3, 5, "");
         options.warn("dark");
         assert!(!options.cancelled());
         cancel.store(true, Ordering::Relaxed);
         assert!(options.cancelled());
-        assert_eq!((steps.load(Ordering::Relaxed), warnings.lock().unwrap().as_slice()), (3, &["dark".to_owned()][..]));
+        assert_eq!(
+            (
+                steps.load(Ordering::Relaxed),
+                warnings.lock().unwrap().as_slice()
+            ),
+            (3, &["dark".to_owned()][..])
+        );
     }
 }

@@ -16,11 +16,15 @@ use std::path::Path;
 /// The splats for the page, and their metadata.
 pub type Packed = (Manifest, Payload);
 
-/// Packs the splats of a scene for the page, and describes them. `median_depth`: of what the middle camera
-/// sees, world units.
+/// Packs the splats of a scene for the page, and describes them. `median_depth`: of what the middle
+/// camera sees, world units.
 pub fn pack(scene: &Scene, title: &str, median_depth: f64) -> Packed {
     let payload = encode(scene, median_depth);
-    let about = About { title, median_depth, fps: source_fps(scene) };
+    let about = About {
+        title,
+        median_depth,
+        fps: source_fps(scene),
+    };
     (Manifest::new(scene, &payload, &about), payload)
 }
 
@@ -51,30 +55,52 @@ pub struct Page {
 
 impl Page {
     /// Adds the frames of the capture to the splats, and compresses all.
-    pub fn new((mut manifest, payload): Packed, capture: &Capture, scene: &Scene) -> Result<Self, Error> {
+    pub fn new(
+        (mut manifest, payload): Packed,
+        capture: &Capture,
+        scene: &Scene,
+    ) -> Result<Self, Error> {
         let frames = frames(capture, scene)?;
         manifest.frames = frames.as_ref().map(|f| f.index.clone());
-        let parts = Parts { manifest: &manifest, payload: Some(&payload.bytes), frames: frames.as_ref() };
+        let parts = Parts {
+            manifest: &manifest,
+            payload: Some(&payload.bytes),
+            frames: frames.as_ref(),
+        };
         let html = page::compose(TEMPLATE, &parts, Compression::default())?;
-        Ok(Self { manifest, payload, frames, html })
+        Ok(Self {
+            manifest,
+            payload,
+            frames,
+            html,
+        })
     }
 
     /// Writes the page, reads it back and compares.
     pub fn write(self, path: &Path) -> Result<(), Error> {
-        let failed = |source| Error::Write { path: path.to_path_buf(), source };
+        let failed = |source| Error::Write {
+            path: path.to_path_buf(),
+            source,
+        };
         let mut file = AtomicFile::create(path).map_err(failed)?;
         file.write_all(&self.html).map_err(failed)?;
         drop(self.html);
         file.sync().map_err(failed)?;
-        let text = fs::read_to_string(file.temporary_path())
-            .map_err(|source| Error::Read { path: path.to_path_buf(), source })?;
+        let text = fs::read_to_string(file.temporary_path()).map_err(|source| Error::Read {
+            path: path.to_path_buf(),
+            source,
+        })?;
         let back = page::read(&text)?;
         let same = back.manifest == self.manifest
             && back.payload.as_ref() == Some(&self.payload.bytes)
             && back.frames == self.frames;
         if !same {
             let what = "the scene in it differs".to_owned();
-            return Err(OutputError::Verify { path: path.to_path_buf(), what }.into());
+            return Err(OutputError::Verify {
+                path: path.to_path_buf(),
+                what,
+            }
+            .into());
         }
         file.commit().map_err(failed)
     }

@@ -1,4 +1,5 @@
-//! Methods of captures and scenes: reading, writing, drawing. `use minute4d::prelude::*` brings them and the types of the first page.
+//! Methods of captures and scenes: reading, writing, drawing. `use minute4d::prelude::*` brings
+//! them and the types of the first page.
 
 pub use crate::{Options, Video, reconstruct, train};
 pub use m4_core::{Camera, Capture, RgbImage, Scene};
@@ -15,7 +16,8 @@ use std::path::Path;
 
 /// Files of captures.
 pub trait CaptureExt: Sized {
-    /// Reads the training frames of a capture: a folder with `transforms_train.json`, or such a file (`docs/formats.md`).
+    /// Reads the training frames of a capture: a folder with `transforms_train.json`, or such a
+    /// file (`docs/formats.md`).
     ///
     /// # Errors
     ///
@@ -32,11 +34,21 @@ pub trait CaptureExt: Sized {
 
 impl CaptureExt for Capture {
     fn read(path: impl AsRef<Path>) -> Result<Self, Error> {
-        Ok(m4_io::capture::read(path.as_ref(), Split::Train, &CaptureOptions::default(), &Silent)?)
+        Ok(m4_io::capture::read(
+            path.as_ref(),
+            Split::Train,
+            &CaptureOptions::default(),
+            &Silent,
+        )?)
     }
 
     fn write(&self, folder: impl AsRef<Path>) -> Result<(), Error> {
-        Ok(m4_io::capture::write(folder.as_ref(), self, Split::Train, &Silent)?)
+        Ok(m4_io::capture::write(
+            folder.as_ref(),
+            self,
+            Split::Train,
+            &Silent,
+        )?)
     }
 }
 
@@ -56,22 +68,26 @@ pub trait SceneExt: Sized {
     /// [`Error::Data`].
     fn write(&self, path: impl AsRef<Path>) -> Result<(), Error>;
 
-    /// The splats that are visible at a time, frames from 0 to `time_frames - 1`; all of them static.
+    /// The splats that are visible at a time, frames from 0 to `time_frames - 1`; all of them
+    /// static.
     fn at(&self, t: f64) -> Splats;
 
-    /// Renders what a camera sees at a time, frames. Axes are OpenCV's, poses camera to world. [`Painter`] is faster for many images.
+    /// Renders what a camera sees at a time, frames. Axes are OpenCV's, poses camera to world.
+    /// [`Painter`] is faster for many images.
     ///
     /// # Errors
     ///
     /// [`Error::Simd`] if vector instructions are asked for that this processor lacks.
     fn render(&self, camera: &Camera, t: f64) -> Result<RgbImage, Error>;
 
-    /// Exports the scene for other tools, in the format that the ending of `path` names (`docs/formats.md`); formats of one instant get the
-    /// middle of the clip. Returns what the format cannot hold.
+    /// Exports the scene for other tools, in the format that the ending of `path` names
+    /// (`docs/formats.md`); formats of one instant get the middle of the clip. Returns what the
+    /// format cannot hold.
     ///
     /// # Errors
     ///
-    /// [`Error::Refused`] for an unknown ending, [`Error::Output`] if the file exists, [`Error::Data`] if it cannot be written.
+    /// [`Error::Refused`] for an unknown ending, [`Error::Output`] if the file exists,
+    /// [`Error::Data`] if it cannot be written.
     fn export(&self, path: impl AsRef<Path>) -> Result<export::Losses, Error>;
 }
 
@@ -81,7 +97,12 @@ impl SceneExt for Scene {
     }
 
     fn write(&self, path: impl AsRef<Path>) -> Result<(), Error> {
-        Ok(safetensors::write(path.as_ref(), self, None, &BTreeMap::new())?)
+        Ok(safetensors::write(
+            path.as_ref(),
+            self,
+            None,
+            &BTreeMap::new(),
+        )?)
     }
 
     fn at(&self, t: f64) -> Splats {
@@ -96,7 +117,10 @@ impl SceneExt for Scene {
         let path = path.as_ref();
         let format = Format::of_path(path).ok_or_else(|| {
             let names = Format::names();
-            crate::Refusal::usage(format!("the ending of {} names no format; formats are {names}", path.display()))
+            crate::Refusal::usage(format!(
+                "the ending of {} names no format; formats are {names}",
+                path.display()
+            ))
         })?;
         Ok(export::scene(self, path, &export::ExportJob::new(format), &Silent)?.losses)
     }

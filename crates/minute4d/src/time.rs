@@ -36,10 +36,15 @@ pub enum TimeError {
     )]
     Form(String),
     /// The text is not a time.
-    #[error("{0:?} is not a time; write a frame number (12.5), or seconds with the suffix s (1.5s)")]
+    #[error(
+        "{0:?} is not a time; write a frame number (12.5), or seconds with the suffix s (1.5s)"
+    )]
     Moment(String),
     /// Before the first or after the last frame.
-    #[error("{moment} lies outside the scene, which has frames 0 to {last}{}", seconds_of(duration_s))]
+    #[error(
+        "{moment} lies outside the scene, which has frames 0 to {last}{}",
+        seconds_of(duration_s)
+    )]
     Outside {
         /// The moment asked for.
         moment: Moment,
@@ -49,7 +54,9 @@ pub enum TimeError {
         duration_s: Option<f64>,
     },
     /// Seconds in a scene that has none.
-    #[error("{moment} is unknown: the scene does not state its duration in seconds; write a frame number, 0 to {last}")]
+    #[error(
+        "{moment} is unknown: the scene does not state its duration in seconds; write a frame number, 0 to {last}"
+    )]
     NoDuration {
         /// The moment asked for.
         moment: Moment,
@@ -101,7 +108,11 @@ fn parse_moment(text: &str) -> Option<Moment> {
         None => (text, false),
     };
     let value: f64 = number.parse().ok().filter(|v: &f64| v.is_finite())?;
-    Some(if seconds { Moment::Seconds(value) } else { Moment::Frames(value) })
+    Some(if seconds {
+        Moment::Seconds(value)
+    } else {
+        Moment::Frames(value)
+    })
 }
 
 /// The duration of a scene.
@@ -127,7 +138,9 @@ impl Span {
         let last = self.last();
         let t = match (moment, self.duration_s) {
             (Moment::Frames(t), _) => t,
-            (Moment::Seconds(s), Some(duration_s)) if duration_s > 0.0 => s / duration_s * last as f64,
+            (Moment::Seconds(s), Some(duration_s)) if duration_s > 0.0 => {
+                s / duration_s * last as f64
+            }
             (Moment::Seconds(_), _) => return Err(TimeError::NoDuration { moment, last }),
         };
         // The last moment written in seconds may land a rounding error behind the last frame.
@@ -135,7 +148,11 @@ impl Span {
             Ok(t.clamp(0.0, last as f64))
         } else {
             let duration_s = self.duration_s;
-            Err(TimeError::Outside { moment, last, duration_s })
+            Err(TimeError::Outside {
+                moment,
+                last,
+                duration_s,
+            })
         }
     }
 }
@@ -169,7 +186,10 @@ impl TimePath {
 mod tests {
     use super::{Moment, Span, TimeError, TimePath};
 
-    const SPAN: Span = Span { time_frames: 31, duration_s: Some(3.0) };
+    const SPAN: Span = Span {
+        time_frames: 31,
+        duration_s: Some(3.0),
+    };
 
     #[test]
     fn every_form_is_read() {
@@ -177,8 +197,20 @@ mod tests {
         assert_eq!(read("source"), TimePath::Source);
         assert_eq!(read("freeze@12.5"), TimePath::Freeze(Moment::Frames(12.5)));
         assert_eq!(read("freeze@1.5s"), TimePath::Freeze(Moment::Seconds(1.5)));
-        for bad in ["", "now", "freeze", "freeze@", "freeze@x", "1..2", "freeze@nan", "freeze@1ms"] {
-            assert!(matches!(bad.parse::<TimePath>(), Err(TimeError::Form(_))), "{bad}");
+        for bad in [
+            "",
+            "now",
+            "freeze",
+            "freeze@",
+            "freeze@x",
+            "1..2",
+            "freeze@nan",
+            "freeze@1ms",
+        ] {
+            assert!(
+                matches!(bad.parse::<TimePath>(), Err(TimeError::Form(_))),
+                "{bad}"
+            );
         }
     }
 
@@ -187,7 +219,10 @@ mod tests {
         assert_eq!("1.5s".parse(), Ok(Moment::Seconds(1.5)));
         assert_eq!(" 7 ".parse(), Ok(Moment::Frames(7.0)));
         for bad in ["", "s", "inf", "1..2", "freeze@2"] {
-            assert!(matches!(bad.parse::<Moment>(), Err(TimeError::Moment(_))), "{bad}");
+            assert!(
+                matches!(bad.parse::<Moment>(), Err(TimeError::Moment(_))),
+                "{bad}"
+            );
         }
     }
 
@@ -199,11 +234,23 @@ mod tests {
         assert_eq!(at("freeze@1s").unwrap(), [10.0; 3]);
         assert_eq!(at("play").unwrap(), [0.0, 0.5, 1.0]);
         let long = TimePath::Play.moments(&[0.0; 70], 20.0, &SPAN).unwrap();
-        assert_eq!((long[60], long[61], long[62], long[64]), (30.0, 30.0, 0.0, 1.0));
-        assert!(matches!(at("freeze@31"), Err(TimeError::Outside { last: 30, .. })));
+        assert_eq!(
+            (long[60], long[61], long[62], long[64]),
+            (30.0, 30.0, 0.0, 1.0)
+        );
+        assert!(matches!(
+            at("freeze@31"),
+            Err(TimeError::Outside { last: 30, .. })
+        ));
         assert!(matches!(at("freeze@-1"), Err(TimeError::Outside { .. })));
-        let unknown = Span { duration_s: None, ..SPAN };
-        let seconds = "freeze@1s".parse::<TimePath>().unwrap().moments(&own, 20.0, &unknown);
+        let unknown = Span {
+            duration_s: None,
+            ..SPAN
+        };
+        let seconds = "freeze@1s"
+            .parse::<TimePath>()
+            .unwrap()
+            .moments(&own, 20.0, &unknown);
         assert!(matches!(seconds, Err(TimeError::NoDuration { .. })));
     }
 }

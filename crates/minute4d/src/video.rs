@@ -22,7 +22,14 @@ impl Video {
     /// [`Error::Missing`] if there is nothing at `path`.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
         let path = path.as_ref().to_path_buf();
-        if path.exists() { Ok(Self { path }) } else { Err(Error::Missing { what: "video or folder of images", path }) }
+        if path.exists() {
+            Ok(Self { path })
+        } else {
+            Err(Error::Missing {
+                what: "video or folder of images",
+                path,
+            })
+        }
     }
 
     /// Where it is.
@@ -32,7 +39,8 @@ impl Video {
     }
 }
 
-/// Recovers cameras, focal length, depth, masks and tracks of a video. [`Reconstruction::summary`] says how far they can be trusted.
+/// Recovers cameras, focal length, depth, masks and tracks of a video. [`Reconstruction::summary`]
+/// says how far they can be trusted.
 ///
 /// # Errors
 ///
@@ -53,7 +61,9 @@ pub fn train(capture: &Capture, options: &Options<'_>) -> Result<Scene, Error> {
     let mut training = Training {
         settings: options.settings(),
         level: SimdLevel::detect()?,
-        gpu: options.device_choice().open(|why| m4_core::Progress::warn(options, why))?,
+        gpu: options
+            .device_choice()
+            .open(|why| m4_core::Progress::warn(options, why))?,
         max_vram_mb: None,
         end: None,
     };

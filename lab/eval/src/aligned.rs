@@ -1,5 +1,5 @@
-//! Scores of each dynamic object after the best shift in the image: how far beside its place it is drawn, how good a copy it is
-//! otherwise, and how much it swims from view to view.
+//! Scores of each dynamic object after the best shift in the image: how far beside its place it is
+//! drawn, how good a copy it is otherwise, and how much it swims from view to view.
 
 use super::regions::regions;
 use m4_core::{CaptureFrame, RgbImage};
@@ -34,7 +34,10 @@ impl Shifts {
     /// Compares what was drawn with a view.
     pub fn add(&mut self, drawn: &RgbImage, view: &CaptureFrame) -> Result<(), ImageError> {
         for (object, pixels) in regions(view) {
-            self.0.entry(object).or_default().extend(best_shift(drawn, &view.rgb, &pixels)?);
+            self.0
+                .entry(object)
+                .or_default()
+                .extend(best_shift(drawn, &view.rgb, &pixels)?);
         }
         Ok(())
     }
@@ -42,7 +45,8 @@ impl Shifts {
     /// One row per object.
     pub fn rows(&self, set: &str) -> Vec<AlignedScore> {
         let row = |(&object, shifts): (&u16, &Vec<Shift>)| {
-            let mean = |f: &dyn Fn(&Shift) -> f64| shifts.iter().map(f).sum::<f64>() / shifts.len() as f64;
+            let mean =
+                |f: &dyn Fn(&Shift) -> f64| shifts.iter().map(f).sum::<f64>() / shifts.len() as f64;
             let by = |s: &Shift| s.by_px.map(f64::from);
             let centre = [mean(&|s| by(s)[0]), mean(&|s| by(s)[1])];
             AlignedScore {
@@ -50,12 +54,17 @@ impl Shifts {
                 object,
                 views: shifts.len(),
                 shift_px: mean(&|s| by(s)[0].hypot(by(s)[1])),
-                swim_px: mean(&|s| (by(s)[0] - centre[0]).powi(2) + (by(s)[1] - centre[1]).powi(2)).sqrt(),
+                swim_px: mean(&|s| (by(s)[0] - centre[0]).powi(2) + (by(s)[1] - centre[1]).powi(2))
+                    .sqrt(),
                 placed_db: mean(&|s| s.placed_db),
                 aligned_db: mean(&|s| s.aligned_db),
             }
         };
-        self.0.iter().filter(|(_, shifts)| !shifts.is_empty()).map(row).collect()
+        self.0
+            .iter()
+            .filter(|(_, shifts)| !shifts.is_empty())
+            .map(row)
+            .collect()
     }
 }
 
@@ -77,15 +86,21 @@ pub(super) fn table(rows: &[AlignedScore]) -> String {
 #[cfg(test)]
 mod tests {
     use super::Shifts;
-    use m4_core::{Camera, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, RgbImage, Se3};
+    use m4_core::{
+        Camera, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, RgbImage, Se3,
+    };
 
     /// Two textured squares on grey, the second `beside` pixels to the right of its place.
     fn image(beside: usize) -> RgbImage {
-        let square = |x: usize, y: usize, left: usize| (left..left + 20).contains(&x) && (10..30).contains(&y);
-        Plane::from_fn(100, 40, |x, y| match (square(x, y, 10), square(x, y, 60 + beside)) {
-            (true, _) => [(x * 37 % 200) as u8, (y * 53 % 200) as u8, 0],
-            (_, true) => [((x - beside) * 37 % 200) as u8, (y * 53 % 200) as u8, 0],
-            _ => [90; 3],
+        let square = |x: usize, y: usize, left: usize| {
+            (left..left + 20).contains(&x) && (10..30).contains(&y)
+        };
+        Plane::from_fn(100, 40, |x, y| {
+            match (square(x, y, 10), square(x, y, 60 + beside)) {
+                (true, _) => [(x * 37 % 200) as u8, (y * 53 % 200) as u8, 0],
+                (_, true) => [((x - beside) * 37 % 200) as u8, (y * 53 % 200) as u8, 0],
+                _ => [90; 3],
+            }
         })
     }
 
@@ -97,7 +112,10 @@ mod tests {
         };
         CaptureFrame {
             name: "view".to_owned(),
-            camera: Camera { intrinsics: Intrinsics::centred(100, 40, 80.0), c2w: Se3::identity() },
+            camera: Camera {
+                intrinsics: Intrinsics::centred(100, 40, 80.0),
+                c2w: Se3::identity(),
+            },
             t: 0.0,
             rgb: image(0),
             depth: None,
@@ -113,13 +131,28 @@ mod tests {
         let mut shifts = Shifts::default();
         shifts.add(&image(0), &view(true)).unwrap();
         shifts.add(&image(4), &view(true)).unwrap();
-        let [first, second] = &shifts.rows("near")[..] else { panic!("two objects") };
-        assert_eq!((first.object, first.views, first.shift_px, first.swim_px), (1, 2, 0.0, 0.0));
-        assert_eq!((second.object, second.shift_px, second.swim_px), (2, 2.0, 2.0));
+        let [first, second] = &shifts.rows("near")[..] else {
+            panic!("two objects")
+        };
+        assert_eq!(
+            (first.object, first.views, first.shift_px, first.swim_px),
+            (1, 2, 0.0, 0.0)
+        );
+        assert_eq!(
+            (second.object, second.shift_px, second.swim_px),
+            (2, 2.0, 2.0)
+        );
         assert!(second.aligned_db > second.placed_db + 20.0, "{second:?}");
         // without instances the two regions of the mask are found, under one number
         let mut shifts = Shifts::default();
         shifts.add(&image(0), &view(false)).unwrap();
-        assert_eq!(shifts.rows("near").iter().map(|r| (r.object, r.views)).collect::<Vec<_>>(), [(0, 2)]);
+        assert_eq!(
+            shifts
+                .rows("near")
+                .iter()
+                .map(|r| (r.object, r.views))
+                .collect::<Vec<_>>(),
+            [(0, 2)]
+        );
     }
 }

@@ -1,6 +1,8 @@
 //! Scores a scene on held-out views by the rules of a protocol.
 
-use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
+use super::choices::{
+    Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses,
+};
 use super::covisible::{MaskSource, Masks};
 use super::perceptual::Perceptual;
 use super::poses::{Moved, Refiner};
@@ -32,27 +34,44 @@ pub(super) struct Scored {
 }
 
 /// Whether a capture can be judged by a protocol, and how it was split.
-pub(super) fn check(data: &Path, protocol: Protocol, options: &EvalOptions) -> Result<Option<SplitRecord>, Error> {
+pub(super) fn check(
+    data: &Path,
+    protocol: Protocol,
+    options: &EvalOptions,
+) -> Result<Option<SplitRecord>, Error> {
     let rules = protocol.rules();
     if options.refine_poses && rules.refine.is_none() {
-        let message = format!("the protocol {protocol} does not refine the poses of test images; omit --refine-poses");
+        let message = format!(
+            "the protocol {protocol} does not refine the poses of test images; omit --refine-poses"
+        );
         return Err(Refusal::usage(message).into());
     }
-    let folder = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
+    let folder = if data.is_dir() {
+        data
+    } else {
+        data.parent().unwrap_or(data)
+    };
     let split = SplitRecord::read(folder)?;
     let not_split = |found: String| Err(not_split(data, protocol, &found).into());
     match (rules.frames, split) {
         (FrameRule::TestSplit, None) => Ok(None),
         (FrameRule::TestSplit, Some(split)) => {
             let held = split.protocol;
-            not_split(format!("its held-out views are frames of the training video, by the protocol {held}"))
+            not_split(format!(
+                "its held-out views are frames of the training video, by the protocol {held}"
+            ))
         }
         (_, None) => not_split("it has no split.json".to_owned()),
         (rule, Some(split)) => {
             if split.protocol != protocol {
-                return not_split(format!("its split.json names the protocol {}", split.protocol));
+                return not_split(format!(
+                    "its split.json names the protocol {}",
+                    split.protocol
+                ));
             }
-            if split.frame_rule != rule || rule.held_out(split.frames).as_ref() != Some(&split.held_out) {
+            if split.frame_rule != rule
+                || rule.held_out(split.frames).as_ref() != Some(&split.held_out)
+            {
                 return not_split("its split.json lists other frames".to_owned());
             }
             Ok(Some(split))
@@ -60,7 +79,8 @@ pub(super) fn check(data: &Path, protocol: Protocol, options: &EvalOptions) -> R
     }
 }
 
-/// The held-out frames of the capture are not those of the protocol; `found` is what the capture says.
+/// The held-out frames of the capture are not those of the protocol; `found` is what the capture
+/// says.
 fn not_split(data: &Path, asked: Protocol, found: &str) -> Refusal {
     Refusal::bad_input(format!(
         "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` writes such a capture \
@@ -101,7 +121,9 @@ pub(super) fn score(
         ));
     }
     let lpips = Perceptual::load(rules.lpips, masked, size.0.min(size.1), options.device)?;
-    let mut refiner = options.refine_poses.then(|| Refiner::new(&held.scene, level));
+    let mut refiner = options
+        .refine_poses
+        .then(|| Refiner::new(&held.scene, level));
     let name = format!("{}: {}", rules.name, data.display());
     let mut images = ImageReport::new(name.clone(), options.grow_mask);
     let mut unrefined = ImageReport::new(name.clone(), options.grow_mask);
@@ -117,7 +139,14 @@ pub(super) fn score(
         let mut camera = given;
         if let (Some(refiner), Some(rule)) = (&mut refiner, &rules.refine) {
             let frame = renderer.frame(&given, t)?;
-            unrefined.add(&view.name, t, view.camera_index, &clamped(&frame)?, &reference, moving.as_ref())?;
+            unrefined.add(
+                &view.name,
+                t,
+                view.camera_index,
+                &clamped(&frame)?,
+                &reference,
+                moving.as_ref(),
+            )?;
             let start = match rule.start {
                 StartPose::Given => given,
                 StartPose::NearestTraining => nearest(held, &given, t),
@@ -130,7 +159,14 @@ pub(super) fn score(
         let frame = renderer.frame(&camera, t)?;
         drawing_s += begin.elapsed().as_secs_f64();
         let image = clamped(&frame)?;
-        let score = images.add(&view.name, t, view.camera_index, &image, &reference, moving.as_ref())?;
+        let score = images.add(
+            &view.name,
+            t,
+            view.camera_index,
+            &image,
+            &reference,
+            moving.as_ref(),
+        )?;
         let note = format!("{:.2} dB", score.psnr_db);
         for &metric in rules.whole {
             if metric == Metric::Psnr(PsnrKind::PerChannel) {
@@ -154,13 +190,24 @@ pub(super) fn score(
         if took_part(held, &given, t) {
             also_training.push(view.name.clone());
         } else {
-            without.add(&view.name, t, view.camera_index, &image, &reference, moving.as_ref())?;
+            without.add(
+                &view.name,
+                t,
+                view.camera_index,
+                &image,
+                &reference,
+                moving.as_ref(),
+            )?;
         }
         observer.update("eval", i + 1, views.len(), &note);
     }
     let (treatment, words, geometry_saw_held_out) = poses(held.alignment.as_ref(), split.as_ref());
     let poses = PoseChoice {
-        treatment: if refiner.is_some() { PoseTreatment::Refined } else { treatment },
+        treatment: if refiner.is_some() {
+            PoseTreatment::Refined
+        } else {
+            treatment
+        },
         words: pose_words(rules, words, refiner.is_some()),
         geometry_saw_held_out,
         refinement_of_protocol: rules.refine,
@@ -173,7 +220,9 @@ pub(super) fn score(
         scored: views.iter().map(|v| v.name.clone()).collect(),
         of_frames: split.as_ref().map(|s| s.frames),
         indices: split.map(|s| s.held_out),
-        mean_without: without.mean().filter(|_: &MeanScore| !also_training.is_empty()),
+        mean_without: without
+            .mean()
+            .filter(|_: &MeanScore| !also_training.is_empty()),
         also_training,
     };
     let choices = Choices {
@@ -181,7 +230,10 @@ pub(super) fn score(
         title: rules.title,
         task: rules.task,
         frames,
-        resolution: ResolutionChoice { scored_px, protocol_px: rules.size_px },
+        resolution: ResolutionChoice {
+            scored_px,
+            protocol_px: rules.size_px,
+        },
         mask: MaskChoice {
             source: masks.source(),
             words: masks.description(),
@@ -194,7 +246,11 @@ pub(super) fn score(
         headline: headline(rules, &images),
         note: rules.note,
     };
-    Ok(Scored { images, choices, drawing_s })
+    Ok(Scored {
+        images,
+        choices,
+        drawing_s,
+    })
 }
 
 fn planes(frame: &Frame) -> [&[f32]; 3] {
@@ -202,24 +258,42 @@ fn planes(frame: &Frame) -> [&[f32]; 3] {
 }
 
 fn clamped(frame: &Frame) -> Result<PlanarImage, Error> {
-    Ok(PlanarImage::from_planes(frame.width, frame.height, planes(frame))?)
+    Ok(PlanarImage::from_planes(
+        frame.width,
+        frame.height,
+        planes(frame),
+    )?)
 }
 
 fn raw(frame: &Frame) -> Result<PlanarImage, Error> {
-    Ok(PlanarImage::from_planes_unclamped(frame.width, frame.height, planes(frame))?)
+    Ok(PlanarImage::from_planes_unclamped(
+        frame.width,
+        frame.height,
+        planes(frame),
+    )?)
 }
 
 /// The view's lens at the pose of the training frame that is nearest in time.
 fn nearest(held: &HeldOut, view: &Camera, t: f64) -> Camera {
     let apart = |s: &&m4_core::SourceFrame| (s.t - t).abs();
-    let closest = held.scene.source.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
-    closest.map_or(*view, |s| Camera { c2w: s.camera.c2w, ..*view })
+    let closest = held
+        .scene
+        .source
+        .iter()
+        .min_by(|a, b| apart(a).total_cmp(&apart(b)));
+    closest.map_or(*view, |s| Camera {
+        c2w: s.camera.c2w,
+        ..*view
+    })
 }
 
 /// Whether a training frame was taken from the same place at the same moment.
 fn took_part(held: &HeldOut, view: &Camera, t: f64) -> bool {
     let source = &held.scene.source;
-    let length: f64 = source.windows(2).map(|w| (w[1].camera.centre() - w[0].camera.centre()).norm()).sum();
+    let length: f64 = source
+        .windows(2)
+        .map(|w| (w[1].camera.centre() - w[0].camera.centre()).norm())
+        .sum();
     let limit = SAME_POSE * if length > 0.0 { length } else { 1.0 };
     source.iter().any(|s| {
         (s.t - t).abs() <= SAME_MOMENT
@@ -233,7 +307,9 @@ fn pose_words(rules: &Rules, given: String, refined: bool) -> String {
         (Some(rule), true) => {
             let from = match rule.start {
                 StartPose::Given => given,
-                StartPose::NearestTraining => "the pose of the training frame nearest in time".to_owned(),
+                StartPose::NearestTraining => {
+                    "the pose of the training frame nearest in time".to_owned()
+                }
             };
             format!(
                 "{} steps of Adam on the squared error of the test image itself, rate {} (radians, shares of the median depth in view), from \
@@ -260,15 +336,22 @@ fn metrics(images: &ImageReport) -> std::collections::BTreeMap<String, String> {
     );
     out.insert("ssim".to_owned(), ssim);
     let grown = p.mask_dilation_px;
-    let masked =
-        format!("the same inside the capture's masks of dynamic regions, dilated by {grown} px, if it has masks");
+    let masked = format!(
+        "the same inside the capture's masks of dynamic regions, dilated by {grown} px, if it has masks"
+    );
     out.insert("masked".to_owned(), masked);
     out
 }
 
 fn headline(rules: &Rules, images: &ImageReport) -> Headline {
     match rules.headline {
-        None => Headline { name: "psnr_db".to_owned(), mean: images.mean().map(|m| m.psnr_db) },
-        Some(name) => Headline { name: name.to_owned(), mean: images.mean_others().get(name).map(|m| m.0) },
+        None => Headline {
+            name: "psnr_db".to_owned(),
+            mean: images.mean().map(|m| m.psnr_db),
+        },
+        Some(name) => Headline {
+            name: name.to_owned(),
+            mean: images.mean_others().get(name).map(|m| m.0),
+        },
     }
 }

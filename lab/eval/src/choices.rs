@@ -25,7 +25,8 @@ pub struct Choices {
     pub mask: MaskChoice,
     /// The output of the renderer that was scored.
     pub render: String,
-    /// Each score by its name in `images.frames[]`, with what it stands for: window, region, clamping.
+    /// Each score by its name in `images.frames[]`, with what it stands for: window, region,
+    /// clamping.
     pub metrics: BTreeMap<String, String>,
     /// LPIPS, network by network.
     pub lpips: Vec<LpipsChoice>,
@@ -88,9 +89,11 @@ pub struct PoseChoice {
     pub treatment: PoseTreatment,
     /// In words.
     pub words: String,
-    /// Whether what estimated the poses saw the held-out images; absent where the capture does not say.
+    /// Whether what estimated the poses saw the held-out images; absent where the capture does not
+    /// say.
     pub geometry_saw_held_out: Option<bool>,
-    /// What the protocol's peers do at test time, where they do; `treatment` says whether it was done here.
+    /// What the protocol's peers do at test time, where they do; `treatment` says whether it was
+    /// done here.
     pub refinement_of_protocol: Option<RefineRule>,
     /// Corrections by pose refinement, view by view.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -121,7 +124,8 @@ pub struct Headline {
     pub mean: Option<f64>,
 }
 
-/// Whether what estimated the poses saw the held-out images, and how test images got theirs, before any refinement.
+/// Whether what estimated the poses saw the held-out images, and how test images got theirs, before
+/// any refinement.
 pub(super) fn poses(
     alignment: Option<&Alignment>,
     split: Option<&SplitRecord>,

@@ -1,10 +1,12 @@
 //! Co-visibility masks: the pixels of a test image that the training video saw.
 //!
-//! Published masks of the data set take precedence (`covisible/` in the capture, or a given folder); the files are named like the
-//! images of their views. Without them, masks are computed from the poses and depth of the training frames. A test image has no
-//! depth, so the depth of the training frames is first projected into it, each pixel as a square of its projected size, the nearest on
-//! top; then each training frame is tested for seeing that point (`m4_eval::image::covisible::seen_by_depth`). Dynamic pixels are valid
-//! only at the time of the test image: they are projected from the training frame that is nearest in time.
+//! Published masks of the data set take precedence (`covisible/` in the capture, or a given
+//! folder); the files are named like the images of their views. Without them, masks are computed
+//! from the poses and depth of the training frames. A test image has no depth, so the depth of the
+//! training frames is first projected into it, each pixel as a square of its projected size, the
+//! nearest on top; then each training frame is tested for seeing that point
+//! (`m4_eval::image::covisible::seen_by_depth`). Dynamic pixels are valid only at the time of the
+//! test image: they are projected from the training frame that is nearest in time.
 
 use crate::error::Error;
 use m4_core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
@@ -30,7 +32,8 @@ pub enum MaskSource {
     None,
     /// Files that a data set publishes, or that were given.
     Files,
-    /// Made from poses and depth of the training frames: such scores compare with one another alone.
+    /// Made from poses and depth of the training frames: such scores compare with one another
+    /// alone.
     Computed,
 }
 
@@ -55,17 +58,29 @@ struct TrainingView {
 }
 
 impl Masks {
-    /// Of the capture in the folder `data`, which may name files within `reach`, or of the folder `given`.
-    pub fn find(data: &Path, given: Option<&Path>, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
+    /// Of the capture in the folder `data`, which may name files within `reach`, or of the folder
+    /// `given`.
+    pub fn find(
+        data: &Path,
+        given: Option<&Path>,
+        reach: Reach,
+        observer: &dyn Observer,
+    ) -> Result<Self, Error> {
         if let Some(folder) = given {
             if folder.is_dir() {
                 return Ok(Self::Files(folder.to_path_buf()));
             }
-            return Err(
-                minute4d::Error::Missing { what: "folder of co-visibility masks", path: folder.to_path_buf() }.into()
-            );
+            return Err(minute4d::Error::Missing {
+                what: "folder of co-visibility masks",
+                path: folder.to_path_buf(),
+            }
+            .into());
         }
-        let root = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
+        let root = if data.is_dir() {
+            data
+        } else {
+            data.parent().unwrap_or(data)
+        };
         let own = root.join(COVISIBLE_FOLDER);
         if own.is_dir() {
             return Ok(Self::Files(own));
@@ -74,8 +89,13 @@ impl Masks {
         settings.capture.reach = reach;
         let capture = m4_io::capture::read(root, Split::Train, &settings.capture, observer)?;
         let training = Training::of(capture).map_err(|why| {
-            let (root, hint) = (root.display(), "give the official ones with --covisible DIR");
-            Refusal::bad_input(format!("co-visibility masks cannot be computed for {root}: {why}; {hint}"))
+            let (root, hint) = (
+                root.display(),
+                "give the official ones with --covisible DIR",
+            );
+            Refusal::bad_input(format!(
+                "co-visibility masks cannot be computed for {root}: {why}; {hint}"
+            ))
         })?;
         observer.warn(
             "there are no published co-visibility masks: they are computed from poses and depth of the training frames, and scores inside \
@@ -156,7 +176,12 @@ impl Training {
                 moves: frame.mask.map(|m| m.to_mask()),
             })
         };
-        let frames: Vec<TrainingView> = capture.frames.into_iter().step_by(step).filter_map(seen).collect();
+        let frames: Vec<TrainingView> = capture
+            .frames
+            .into_iter()
+            .step_by(step)
+            .filter_map(seen)
+            .collect();
         if frames.is_empty() {
             return Err("its training frames have no depth".to_owned());
         }
@@ -175,11 +200,17 @@ impl Training {
             Some(own) if own.size() == view.rgb.size() => own,
             _ => self.depth(view),
         };
-        let test = DepthView { camera: &view.camera, depth: &depth };
+        let test = DepthView {
+            camera: &view.camera,
+            depth: &depth,
+        };
         let (width, height) = view.rgb.size();
         let mut counts = CovisibleCounts::new(width, height);
         for seen in &self.frames {
-            let training = DepthView { camera: &seen.camera, depth: &seen.depth };
+            let training = DepthView {
+                camera: &seen.camera,
+                depth: &seen.depth,
+            };
             counts.add(&seen_by_depth(test, training, DEPTH_TOLERANCE)?)?;
         }
         Ok(counts.mask())
@@ -194,7 +225,11 @@ impl Training {
         let nearest = self.frames.iter().map(apart).fold(f64::INFINITY, f64::min);
         for seen in &self.frames {
             let with_motion = apart(seen) <= nearest;
-            let moves = |x, y| seen.moves.as_ref().is_some_and(|m| m.size() == seen.depth.size() && m[(x, y)] != 0);
+            let moves = |x, y| {
+                seen.moves
+                    .as_ref()
+                    .is_some_and(|m| m.size() == seen.depth.size() && m[(x, y)] != 0)
+            };
             let (w, h) = seen.depth.size();
             for y in 0..h {
                 for x in 0..w {
@@ -222,7 +257,11 @@ fn draw(out: &mut DepthMap, u: f64, v: f64, z: f32, side: f64) {
     let range = |at: f64, length: usize| {
         let (from, to) = ((at - side / 2.0).ceil().max(0.0), (at + side / 2.0).floor());
         // a cast saturates: below 0 there is nothing to draw
-        let to = if to < 0.0 { 0 } else { (to as usize + 1).min(length) };
+        let to = if to < 0.0 {
+            0
+        } else {
+            (to as usize + 1).min(length)
+        };
         from as usize..to
     };
     for y in range(v, height) {
@@ -248,7 +287,8 @@ mod tests {
         capture
     }
 
-    /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that no training camera saw.
+    /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that no
+    /// training camera saw.
     #[test]
     fn pixels_unseen_in_training_are_masked_out() {
         let training = Training::of(capture(8, true)).unwrap();
@@ -262,7 +302,11 @@ mod tests {
                 assert!(seen == (x < 26) || x == 26 || x == 25, "{x} {y}: {seen}");
             }
         }
-        assert!(masks.description().contains("8 of 8 training frames"), "{}", masks.description());
+        assert!(
+            masks.description().contains("8 of 8 training frames"),
+            "{}",
+            masks.description()
+        );
     }
 
     #[test]

@@ -36,7 +36,16 @@ macro_rules! from_library {
     };
 }
 
-from_library!(minute4d::Error, InitError, OutputError, ReadError, Refusal, SettingsError, SimdLevelError, WriteError);
+from_library!(
+    minute4d::Error,
+    InitError,
+    OutputError,
+    ReadError,
+    Refusal,
+    SettingsError,
+    SimdLevelError,
+    WriteError
+);
 
 #[cfg(feature = "nets")]
 from_library!(minute4d::weights::WeightsError);

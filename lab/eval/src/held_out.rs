@@ -24,7 +24,8 @@ pub struct EvalOptions {
     pub device: DeviceChoice,
     /// The protocol; `None` for joint PSNR and SSIM of what the capture holds out, in 8 bits.
     pub protocol: Option<Protocol>,
-    /// Masks of co-visibility, for protocols that have some; `None` for those of the capture, or made ones.
+    /// Masks of co-visibility, for protocols that have some; `None` for those of the capture, or
+    /// made ones.
     pub covisible: Option<PathBuf>,
     /// Refine the poses of test images as the protocol's peers do.
     pub refine_poses: bool,
@@ -47,15 +48,27 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
-    /// Refused without held-out views.
-    pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
+    /// The scene of the run `out` and the held-out views of the capture `data`, which may name
+    /// files within `reach`. Refused without held-out views.
+    pub fn read(
+        out: &Path,
+        data: &Path,
+        reach: Reach,
+        observer: &dyn Observer,
+    ) -> Result<Self, Error> {
         layout::settle(out)?;
         let path = out.join(SCENE_FILE);
         let scene = safetensors::read(&path)?.scene;
-        let options = CaptureOptions { reach, ..Settings::fast().capture };
+        let options = CaptureOptions {
+            reach,
+            ..Settings::fast().capture
+        };
         if !data.exists() {
-            return Err(minute4d::Error::Missing { what: "capture", path: data.to_path_buf() }.into());
+            return Err(minute4d::Error::Missing {
+                what: "capture",
+                path: data.to_path_buf(),
+            }
+            .into());
         }
         if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
             return Err(no_test_list(data).into());
@@ -63,7 +76,13 @@ impl HeldOut {
         let test = m4_io::capture::read(data, Split::Test, &options, observer)?;
         let alignment = poses::between(&scene, data, observer)?;
         let stretch = scene.period_frames() / (test.time_frames.max(2) - 1) as f64;
-        Ok(Self { path, scene, test, alignment, stretch })
+        Ok(Self {
+            path,
+            scene,
+            test,
+            alignment,
+            stretch,
+        })
     }
 
     /// When a view was taken, frames of the scene.
@@ -72,14 +91,19 @@ impl HeldOut {
     }
 
     /// The scene as a view's camera sees it.
-    pub fn draw(&self, renderer: &mut SceneRenderer<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
+    pub fn draw(
+        &self,
+        renderer: &mut SceneRenderer<'_>,
+        frame: &CaptureFrame,
+    ) -> Result<RgbImage, Error> {
         Ok(renderer.image(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)?)
     }
 
     /// A view's camera in the world of the scene.
     pub fn camera(&self, frame: &CaptureFrame) -> Camera {
-        self.alignment
-            .as_ref()
-            .map_or(frame.camera, |a| Camera { c2w: a.similarity().transform_pose(&frame.camera.c2w), ..frame.camera })
+        self.alignment.as_ref().map_or(frame.camera, |a| Camera {
+            c2w: a.similarity().transform_pose(&frame.camera.c2w),
+            ..frame.camera
+        })
     }
 }

@@ -1,4 +1,5 @@
-//! Evaluation: scores of a scene on held-out views, with or without a protocol; scores of a capture against ground truth.
+//! Evaluation: scores of a scene on held-out views, with or without a protocol; scores of a capture
+//! against ground truth.
 //!
 //! ```text
 //! capture of a video --split by a Protocol--> capture with training and test frames --train--> scene
@@ -23,7 +24,9 @@ mod truth;
 
 pub use aligned::AlignedScore;
 pub use baselines::{BaselineScore, mean_of};
-pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
+pub use choices::{
+    Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice,
+};
 pub use covisible::MaskSource;
 pub use error::Error;
 pub use held_out::{EvalOptions, HeldOut};
@@ -63,13 +66,28 @@ use truth::{INSTANCE_FOLDERS, add_instances};
 /// # Errors
 ///
 /// What could not be read, or why the two do not belong together.
-pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Observer) -> Result<GeometryReport, Error> {
-    let options = CaptureOptions { reach, ..Settings::fast().capture };
+pub fn geometry(
+    capture: &Path,
+    truth: &Path,
+    reach: Reach,
+    observer: &dyn Observer,
+) -> Result<GeometryReport, Error> {
+    let options = CaptureOptions {
+        reach,
+        ..Settings::fast().capture
+    };
     let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
     if !truth.exists() {
-        return Err(minute4d::Error::Missing { what: "known geometry", path: truth.to_path_buf() }.into());
+        return Err(minute4d::Error::Missing {
+            what: "known geometry",
+            path: truth.to_path_buf(),
+        }
+        .into());
     }
-    Ok(evaluate(&estimate, &read_truth(truth, &options, observer)?)?)
+    Ok(evaluate(
+        &estimate,
+        &read_truth(truth, &options, observer)?,
+    )?)
 }
 
 /// A mean over the views that have a score.
@@ -98,7 +116,8 @@ pub struct EvalReport {
     pub splats: usize,
     /// Means over all views.
     pub mean: Option<MeanScore>,
-    /// Means by set of held-out views: far (the test list), near, between; without a protocol alone.
+    /// Means by set of held-out views: far (the test list), near, between; without a protocol
+    /// alone.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sets: Vec<SetScore>,
     /// Protocol, and one row per view of the test list.
@@ -132,17 +151,24 @@ pub struct EvalReport {
     pub seconds: f64,
 }
 
-/// Renders the held-out views of the capture `data` and compares them with its images; writes `eval.json` into the run `out`. Where the
-/// options name a protocol, its rules hold and `eval.json` names every choice.
+/// Renders the held-out views of the capture `data` and compares them with its images; writes
+/// `eval.json` into the run `out`. Where the options name a protocol, its rules hold and
+/// `eval.json` names every choice.
 ///
-/// A scene that was trained on another capture of the same video has a world of its own; the held-out cameras are then placed by the
-/// similarity that takes the training cameras of `data` to those of the scene, and a warning says how well that fits.
+/// A scene that was trained on another capture of the same video has a world of its own; the
+/// held-out cameras are then placed by the similarity that takes the training cameras of `data` to
+/// those of the scene, and a warning says how well that fits.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] without held-out views, or if the capture cannot be judged by the protocol; else what could not be read, compared
-/// or written.
-pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Observer) -> Result<EvalReport, Error> {
+/// [`Error::Refused`] without held-out views, or if the capture cannot be judged by the protocol;
+/// else what could not be read, compared or written.
+pub fn views(
+    out: &Path,
+    data: &Path,
+    options: &EvalOptions,
+    observer: &dyn Observer,
+) -> Result<EvalReport, Error> {
     let start = Instant::now();
     let level = SimdLevel::detect()?;
     // before anything large is read
@@ -155,12 +181,26 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
     let mut renderer = SceneRenderer::new(&held.scene, level, gpu.as_ref(), observer)?;
     let (images, other, choices, drawing_s) = match options.protocol {
         None => {
-            let (images, other, drawing_s) = plain(&held, data, out, options, &mut renderer, observer)?;
+            let (images, other, drawing_s) =
+                plain(&held, data, out, options, &mut renderer, observer)?;
             (images, other, None, drawing_s)
         }
         Some(protocol) => {
-            let scored = by_protocol::score(&held, data, protocol, split, options, (level, &mut renderer), observer)?;
-            (scored.images, OtherSets::default(), Some(scored.choices), scored.drawing_s)
+            let scored = by_protocol::score(
+                &held,
+                data,
+                protocol,
+                split,
+                options,
+                (level, &mut renderer),
+                observer,
+            )?;
+            (
+                scored.images,
+                OtherSets::default(),
+                Some(scored.choices),
+                scored.drawing_s,
+            )
         }
     };
     let means = images.mean_others().into_iter();
@@ -170,10 +210,16 @@ pub fn views(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Obse
         data: data.to_path_buf(),
         splats: held.scene.splats.n(),
         mean: images.mean(),
-        mean_others: means.map(|(name, (mean, views))| (name, OtherMean { mean, views })).collect(),
+        mean_others: means
+            .map(|(name, (mean, views))| (name, OtherMean { mean, views }))
+            .collect(),
         choices,
         frames_per_s: (drawing_s > 0.0).then(|| images.frames.len() as f64 / drawing_s),
-        device: gpu.as_ref().filter(|_| renderer.is_on_gpu()).map_or("cpu", |gpu| gpu.name()).to_owned(),
+        device: gpu
+            .as_ref()
+            .filter(|_| renderer.is_on_gpu())
+            .map_or("cpu", |gpu| gpu.name())
+            .to_owned(),
         sets: other.rows,
         images,
         near: other.near,
@@ -201,8 +247,9 @@ struct OtherSets {
     lpips: Vec<LpipsChoice>,
 }
 
-/// Joint PSNR and SSIM of images in 8 bits, LPIPS where it is installed, of every list of held-out views; objects after their best shift;
-/// baselines where the data set has depth; and the seconds of drawing.
+/// Joint PSNR and SSIM of images in 8 bits, LPIPS where it is installed, of every list of held-out
+/// views; objects after their best shift; baselines where the data set has depth; and the seconds
+/// of drawing.
 fn plain(
     held: &HeldOut,
     data: &Path,
@@ -211,14 +258,25 @@ fn plain(
     renderer: &mut SceneRenderer<'_>,
     observer: &dyn Observer,
 ) -> Result<(ImageReport, OtherSets, f64), Error> {
-    let read = CaptureOptions { reach: options.reach, ..Settings::fast().capture };
+    let read = CaptureOptions {
+        reach: options.reach,
+        ..Settings::fast().capture
+    };
     let size = held.test.frames.first().map_or((0, 0), |v| v.rgb.size());
-    let lpips = Perceptual::load(&[LpipsRule::Alex], false, size.0.min(size.1), options.device)?;
+    let lpips = Perceptual::load(
+        &[LpipsRule::Alex],
+        false,
+        size.0.min(size.1),
+        options.device,
+    )?;
     let train = match data.is_dir() && data.join(Split::Train.file_name()).is_file() {
         true => Some(read_truth(data, &read, observer)?),
         false => None,
     };
-    let mut other = OtherSets { lpips: lpips.choices.clone(), ..OtherSets::default() };
+    let mut other = OtherSets {
+        lpips: lpips.choices.clone(),
+        ..OtherSets::default()
+    };
     let mut lists = vec![("far", held.test.clone())];
     for (set, split) in [("near", Split::Near), ("between", Split::Between)] {
         lists.extend(sets::read(data, split, &read, observer)?.map(|views| (set, views)));
@@ -227,22 +285,38 @@ fn plain(
     for (set, views) in &mut lists {
         add_instances(views, &data.join(INSTANCE_FOLDERS[1]))?;
         let mut shifts = Shifts::default();
-        let (report, seconds) =
-            score_views(held, views, data, options.grow_mask, (&mut *renderer, &lpips, &mut shifts), observer)?;
+        let (report, seconds) = score_views(
+            held,
+            views,
+            data,
+            options.grow_mask,
+            (&mut *renderer, &lpips, &mut shifts),
+            observer,
+        )?;
         drawing_s += seconds;
-        let angles = train.as_ref().map_or_else(|| vec![None; views.frames.len()], |train| sets::angles(train, views));
+        let angles = train.as_ref().map_or_else(
+            || vec![None; views.frames.len()],
+            |train| sets::angles(train, views),
+        );
         other.rows.extend(sets::rows(set, &report, &angles));
         other.aligned.extend(shifts.rows(set));
         reports.insert(*set, report);
     }
-    let complete = |c: &Capture| c.frames.iter().all(|f| f.depth.is_some() && f.mask.is_some());
+    let complete = |c: &Capture| {
+        c.frames
+            .iter()
+            .all(|f| f.depth.is_some() && f.mask.is_some())
+    };
     if let Some(given) = train.filter(complete) {
         // a scene trained from a video has its own geometry beside it
-        let own = sets::read(&out.join(CAPTURE_FOLDER), Split::Train, &read, observer)?.filter(complete);
+        let own =
+            sets::read(&out.join(CAPTURE_FOLDER), Split::Train, &read, observer)?.filter(complete);
         let lists: Vec<(&str, &Capture)> = lists.iter().map(|(set, views)| (*set, views)).collect();
         other.baselines = baselines::score(&given, own.as_ref(), held, &lists, observer)?;
     }
-    let images = reports.remove("far").unwrap_or_else(|| ImageReport::new("far", options.grow_mask));
+    let images = reports
+        .remove("far")
+        .unwrap_or_else(|| ImageReport::new("far", options.grow_mask));
     (other.near, other.between) = (reports.remove("near"), reports.remove("between"));
     Ok((images, other, drawing_s))
 }

@@ -1,4 +1,5 @@
-//! LPIPS as a protocol defines it, with the networks whose weights are installed, and the reason for missing ones.
+//! LPIPS as a protocol defines it, with the networks whose weights are installed, and the reason
+//! for missing ones.
 
 use super::protocol::LpipsRule;
 use crate::error::Error;
@@ -22,8 +23,7 @@ pub struct LpipsChoice {
     pub absent: Option<String>,
 }
 
-const DEFINITION: &str =
-    "LPIPS 0.1; sRGB values from 0 to 1 enter as 2 x - 1, less the shift of the scaling layer, over its scale";
+const DEFINITION: &str = "LPIPS 0.1; sRGB values from 0 to 1 enter as 2 x - 1, less the shift of the scaling layer, over its scale";
 
 impl LpipsRule {
     /// Names of its score over the whole image, and inside a mask.
@@ -39,7 +39,9 @@ fn choice(net: LpipsRule, masked: bool, absent: Option<String>) -> LpipsChoice {
     LpipsChoice {
         net,
         definition: DEFINITION,
-        score: absent.is_none().then_some(net.scores()[usize::from(masked)]),
+        score: absent
+            .is_none()
+            .then_some(net.scores()[usize::from(masked)]),
         absent,
     }
 }
@@ -53,7 +55,9 @@ pub(super) struct Perceptual {
 
 #[cfg(feature = "nets")]
 mod with_nets {
-    use super::{DeviceChoice, Error, ImageReport, LpipsRule, Mask, Perceptual, PlanarImage, choice};
+    use super::{
+        DeviceChoice, Error, ImageReport, LpipsRule, Mask, Perceptual, PlanarImage, choice,
+    };
     use m4_nets::lpips::{Lpips, LpipsImage, LpipsNet};
     use minute4d::weights::{Store, find};
     use minute4d::{Category, Refusal};
@@ -76,8 +80,16 @@ mod with_nets {
 
     impl Perceptual {
         /// Loads what is here of `wanted`, for images whose shorter side is `least_px`.
-        pub fn load(wanted: &[LpipsRule], masked: bool, least_px: usize, device: DeviceChoice) -> Result<Self, Error> {
-            let mut out = Self { nets: Vec::new(), choices: Vec::new() };
+        pub fn load(
+            wanted: &[LpipsRule],
+            masked: bool,
+            least_px: usize,
+            device: DeviceChoice,
+        ) -> Result<Self, Error> {
+            let mut out = Self {
+                nets: Vec::new(),
+                choices: Vec::new(),
+            };
             if wanted.is_empty() {
                 return Ok(out);
             }
@@ -94,12 +106,16 @@ mod with_nets {
                 } else {
                     let entry = find(rule.weights())?;
                     let store = store.as_ref().map_err(ToString::to_string);
-                    match store.and_then(|store| store.require(entry).map_err(|absent| absent.to_string())) {
+                    match store
+                        .and_then(|store| store.require(entry).map_err(|absent| absent.to_string()))
+                    {
                         Err(absent) => Some(absent),
                         Ok(path) => {
                             let loaded = Lpips::load(net, &path, &device.device).map_err(|e| {
                                 let hint = "`minute4d weights verify` says more";
-                                Refusal::bad_input(format!("the weights of LPIPS cannot be used: {e}; {hint}"))
+                                Refusal::bad_input(format!(
+                                    "the weights of LPIPS cannot be used: {e}; {hint}"
+                                ))
                             })?;
                             out.nets.push((rule, loaded));
                             None
@@ -111,7 +127,8 @@ mod with_nets {
             Ok(out)
         }
 
-        /// Scores the view that was added to `report` last; inside `mask` as DyCheck does where there is one.
+        /// Scores the view that was added to `report` last; inside `mask` as DyCheck does where
+        /// there is one.
         pub fn score(
             &self,
             report: &mut ImageReport,
@@ -121,7 +138,10 @@ mod with_nets {
             mask: Option<&Mask>,
         ) -> Result<(), Error> {
             let failed = |e: m4_nets::NetError| {
-                Refusal::new(Category::NoDevice, format!("LPIPS of the view {name} failed: {e}"))
+                Refusal::new(
+                    Category::NoDevice,
+                    format!("LPIPS of the view {name} failed: {e}"),
+                )
             };
             if self.nets.is_empty() {
                 return Ok(());
@@ -139,7 +159,10 @@ mod with_nets {
                         report.add_other(rule.scores()[0], title, score.distance);
                     }
                     Some(mask) => {
-                        if let Some(score) = net.compare_inside(&image, &reference, mask).map_err(failed)? {
+                        if let Some(score) = net
+                            .compare_inside(&image, &reference, mask)
+                            .map_err(failed)?
+                        {
                             let title = format!(
                                 "{title}, both images black outside a mask, the map averaged over it (DyCheck)"
                             );
@@ -155,10 +178,22 @@ mod with_nets {
 
 #[cfg(not(feature = "nets"))]
 impl Perceptual {
-    pub fn load(wanted: &[LpipsRule], masked: bool, _: usize, _: DeviceChoice) -> Result<Self, Error> {
-        let why = format!("this program was built without networks: `{}` builds it with them", minute4d::BUILD_FULL);
-        let choices = wanted.iter().map(|&net| choice(net, masked, Some(why.clone())));
-        Ok(Self { choices: choices.collect() })
+    pub fn load(
+        wanted: &[LpipsRule],
+        masked: bool,
+        _: usize,
+        _: DeviceChoice,
+    ) -> Result<Self, Error> {
+        let why = format!(
+            "this program was built without networks: `{}` builds it with them",
+            minute4d::BUILD_FULL
+        );
+        let choices = wanted
+            .iter()
+            .map(|&net| choice(net, masked, Some(why.clone())));
+        Ok(Self {
+            choices: choices.collect(),
+        })
     }
 
     pub fn score(

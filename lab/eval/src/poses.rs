@@ -1,14 +1,16 @@
-//! Poses of held-out cameras: their alignment with the world of a scene whose geometry was estimated from the video alone, and their
-//! refinement against the finished scene.
+//! Poses of held-out cameras: their alignment with the world of a scene whose geometry was
+//! estimated from the video alone, and their refinement against the finished scene.
 //!
 //! ```text
 //! pose --render--> image --squared error--> gradient --backward kernels--> twist --Adam--> pose
 //! ```
 //!
-//! RoDyGS, MoSca and others score held-out images after such a refinement, since estimated or aligned poses are slightly off and
-//! half a pixel costs a decibel. It improves every score, so refined scores compare only with refined ones. The pose moves by left twists
-//! of world to camera (docs/spec/optimiser.md 1.6): rotations in radians, translations as fractions of the median depth in view, so that the
-//! result does not depend on the unit of the world. Splats, intrinsics and time are fixed.
+//! RoDyGS, MoSca and others score held-out images after such a refinement, since estimated or
+//! aligned poses are slightly off and half a pixel costs a decibel. It improves every score, so
+//! refined scores compare only with refined ones. The pose moves by left twists of world to camera
+//! (docs/spec/optimiser.md 1.6): rotations in radians, translations as fractions of the median
+//! depth in view, so that the result does not depend on the unit of the world. Splats, intrinsics
+//! and time are fixed.
 
 use super::protocol::RefineRule;
 use crate::error::Error;
@@ -40,8 +42,8 @@ pub struct Alignment {
     pub rotation: [[f64; 3]; 3],
     /// Scene units.
     pub translation: [f64; 3],
-    /// Root of the mean squared distance of camera centres afterwards, as a share of the length of the
-    /// path, per cent.
+    /// Root of the mean squared distance of camera centres afterwards, as a share of the length of
+    /// the path, per cent.
     pub rmse_percent: f64,
     /// Median angle between camera axes afterwards, degrees.
     pub median_deg: f64,
@@ -60,23 +62,38 @@ impl Alignment {
 
     fn new(map: &Sim3, pairs: &[(Camera, Camera)]) -> Self {
         let moved = |c: &Camera| map.transform_pose(&c.c2w);
-        let squared: f64 = pairs.iter().map(|(d, s)| (moved(d).translation - s.centre()).norm_squared()).sum();
-        let length: f64 = pairs.windows(2).map(|w| (w[1].1.centre() - w[0].1.centre()).norm()).sum();
-        let mut angles: Vec<f64> = pairs.iter().map(|(d, s)| angle_deg(&s.c2w.rotation, &moved(d).rotation)).collect();
+        let squared: f64 = pairs
+            .iter()
+            .map(|(d, s)| (moved(d).translation - s.centre()).norm_squared())
+            .sum();
+        let length: f64 = pairs
+            .windows(2)
+            .map(|w| (w[1].1.centre() - w[0].1.centre()).norm())
+            .sum();
+        let mut angles: Vec<f64> = pairs
+            .iter()
+            .map(|(d, s)| angle_deg(&s.c2w.rotation, &moved(d).rotation))
+            .collect();
         angles.sort_by(f64::total_cmp);
         Self {
             cameras: pairs.len(),
             scale: map.scale,
             rotation: std::array::from_fn(|i| std::array::from_fn(|j| map.rotation[(i, j)])),
             translation: map.translation.into(),
-            rmse_percent: 100.0 * (squared / pairs.len() as f64).sqrt() / length.max(f64::MIN_POSITIVE),
+            rmse_percent: 100.0 * (squared / pairs.len() as f64).sqrt()
+                / length.max(f64::MIN_POSITIVE),
             median_deg: angles.get(angles.len() / 2).copied().unwrap_or(0.0),
         }
     }
 }
 
-/// The similarity from the capture `data` to `scene`; `None` when they share a world, or when that cannot be determined (with a warning).
-pub(super) fn between(scene: &Scene, data: &Path, observer: &dyn Observer) -> Result<Option<Alignment>, Error> {
+/// The similarity from the capture `data` to `scene`; `None` when they share a world, or when that
+/// cannot be determined (with a warning).
+pub(super) fn between(
+    scene: &Scene,
+    data: &Path,
+    observer: &dyn Observer,
+) -> Result<Option<Alignment>, Error> {
     let Some(list) = training_list(data) else {
         observer.warn(
             "the capture lists no training cameras, so it is assumed that its held-out cameras are in the world \
@@ -110,30 +127,48 @@ pub(super) fn between(scene: &Scene, data: &Path, observer: &dyn Observer) -> Re
 fn training_list(data: &Path) -> Option<PathBuf> {
     let folder = if data.is_dir() { data } else { data.parent()? };
     let names = ["transforms_train.json", "transforms.json"];
-    names.iter().map(|name| folder.join(name)).find(|path| path.is_file())
+    names
+        .iter()
+        .map(|name| folder.join(name))
+        .find(|path| path.is_file())
 }
 
 /// Angle between two orientations, degrees.
 fn angle_deg(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
-    (((a.transpose() * b).trace() - 1.0) / 2.0).clamp(-1.0, 1.0).acos().to_degrees()
+    (((a.transpose() * b).trace() - 1.0) / 2.0)
+        .clamp(-1.0, 1.0)
+        .acos()
+        .to_degrees()
 }
 
 /// Cameras of the capture and of the scene that took the same frame.
 fn pairs(known: &[(Camera, f64)], scene: &Scene) -> Vec<(Camera, Camera)> {
     let nearest = |t: f64| {
-        let closest = known.iter().min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()))?;
+        let closest = known
+            .iter()
+            .min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()))?;
         ((closest.1 - t).abs() <= SAME_MOMENT).then_some(closest.0)
     };
-    scene.source.iter().filter_map(|s| Some((nearest(s.t)?, s.camera))).collect()
+    scene
+        .source
+        .iter()
+        .filter_map(|s| Some((nearest(s.t)?, s.camera)))
+        .collect()
 }
 
 fn same_world(pairs: &[(Camera, Camera)]) -> bool {
-    let Some(first) = pairs.first() else { return false };
-    let extent = pairs.iter().map(|(d, _)| (d.centre() - first.0.centre()).norm()).fold(0.0, f64::max);
+    let Some(first) = pairs.first() else {
+        return false;
+    };
+    let extent = pairs
+        .iter()
+        .map(|(d, _)| (d.centre() - first.0.centre()).norm())
+        .fold(0.0, f64::max);
     // A static camera has no extent; a unit of the world serves as well.
     let limit = SAME_WORLD * if extent > 0.0 { extent } else { 1.0 };
     pairs.iter().all(|(d, s)| {
-        (d.centre() - s.centre()).norm() <= limit && (d.c2w.rotation - s.c2w.rotation).norm() <= SAME_WORLD.sqrt()
+        (d.centre() - s.centre()).norm() <= limit
+            && (d.c2w.rotation - s.c2w.rotation).norm() <= SAME_WORLD.sqrt()
     })
 }
 
@@ -173,8 +208,8 @@ impl<'a> Refiner<'a> {
         }
     }
 
-    /// The camera from which the scene at moment `t` (frames) looks most like `reference`, from `start` on. The last step counts, as with
-    /// peers, not the best.
+    /// The camera from which the scene at moment `t` (frames) looks most like `reference`, from
+    /// `start` on. The last step counts, as with peers, not the best.
     pub fn refine(
         &mut self,
         start: &Camera,
@@ -200,7 +235,10 @@ impl<'a> Refiner<'a> {
                 v[k] = BETA2 * v[k] + (1.0 - BETA2) * g[k] * g[k];
                 -lr[k] * (m[k] / bias1) / ((v[k] / bias2).sqrt() + EPSILON)
             });
-            camera.c2w = camera.w2c().retract(&Vector6::from_row_slice(&delta)).inverse();
+            camera.c2w = camera
+                .w2c()
+                .retract(&Vector6::from_row_slice(&delta))
+                .inverse();
         }
         let (after, _) = self.gradient(&camera, t, reference);
         let moved = Moved {
@@ -211,14 +249,19 @@ impl<'a> Refiner<'a> {
         Ok((camera, moved))
     }
 
-    /// Mean squared error of what `camera` sees, and its gradient with respect to the twist (translation, then rotation).
+    /// Mean squared error of what `camera` sees, and its gradient with respect to the twist
+    /// (translation, then rotation).
     fn gradient(&mut self, camera: &Camera, t: f64, reference: &PlanarImage) -> (f64, [f64; 6]) {
         let splats = &self.scene.splats;
         let frame = self.renderer.render(splats, &view(self.scene, camera, t));
         let (width, height) = reference.size();
         let share = 1.0 / (3 * width * height).max(1) as f64;
         let mut sum = 0.0;
-        for (out, (drawn, wanted)) in self.gradient.iter_mut().zip(frame.rgb.iter().zip(reference.planes())) {
+        for (out, (drawn, wanted)) in self
+            .gradient
+            .iter_mut()
+            .zip(frame.rgb.iter().zip(reference.planes()))
+        {
             out.clear();
             out.extend(drawn.iter().zip(wanted).map(|(&a, &b)| {
                 let off = f64::from(a - b);
@@ -226,9 +269,13 @@ impl<'a> Refiner<'a> {
                 (2.0 * share * off) as f32
             }));
         }
-        self.renderer.backward(splats, &self.gradient, true, &mut self.gradients);
+        self.renderer
+            .backward(splats, &self.gradient, true, &mut self.gradients);
         let (tau, omega) = (self.gradients.camera.tau, self.gradients.camera.omega);
-        (sum * share, std::array::from_fn(|k| if k < 3 { tau[k] } else { omega[k - 3] }))
+        (
+            sum * share,
+            std::array::from_fn(|k| if k < 3 { tau[k] } else { omega[k - 3] }),
+        )
     }
 }
 
@@ -260,7 +307,10 @@ mod tests {
             rotation: exp_so3(&Vector3::new(0.3, -0.8, 0.4)),
             translation: Vector3::new(1.0, -2.0, 0.5),
         };
-        let moved = |c: Camera| Camera { c2w: map.transform_pose(&c.c2w), ..c };
+        let moved = |c: Camera| Camera {
+            c2w: map.transform_pose(&c.c2w),
+            ..c
+        };
         let pairs: Vec<(Camera, Camera)> = (0..8).map(|i| (camera(i), moved(camera(i)))).collect();
         let (from, to): (Vec<Camera>, Vec<Camera>) = pairs.iter().copied().unzip();
         let found = placement(&from, &to).unwrap();
@@ -290,22 +340,40 @@ mod tests {
         let unit = painter.median_depth(&truth, t).unwrap();
         let frame = painter.frame(&truth, t, false).clone();
         let planes = [0, 1, 2].map(|k| frame.rgb[k].as_slice());
-        let reference = PlanarImage::from_planes_unclamped(frame.width, frame.height, planes).unwrap();
+        let reference =
+            PlanarImage::from_planes_unclamped(frame.width, frame.height, planes).unwrap();
         let off = Vector6::new(0.01 * unit, -0.008 * unit, 0.01 * unit, 0.006, -0.01, 0.008);
-        let start = Camera { c2w: truth.w2c().retract(&off).inverse(), ..truth };
-        let rule = RefineRule { steps: 150, lr: 5e-4, start: StartPose::Given };
-        let (found, moved) = Refiner::new(&scene, level).refine(&start, t, &reference, &rule, &Silent).unwrap();
+        let start = Camera {
+            c2w: truth.w2c().retract(&off).inverse(),
+            ..truth
+        };
+        let rule = RefineRule {
+            steps: 150,
+            lr: 5e-4,
+            start: StartPose::Given,
+        };
+        let (found, moved) = Refiner::new(&scene, level)
+            .refine(&start, t, &reference, &rule, &Silent)
+            .unwrap();
         let apart = |c: &Camera| {
             let turn = (c.c2w.rotation - truth.c2w.rotation).norm();
             (turn, (c.centre() - truth.centre()).norm() / unit)
         };
         let ((turn0, shift0), (turn1, shift1)) = (apart(&start), apart(&found));
         assert!(turn0 > 0.015 && shift0 > 0.01, "{turn0} {shift0}");
-        assert!(turn1 < 0.2 * turn0 && shift1 < 0.3 * shift0, "{turn1} of {turn0}, {shift1} of {shift0}");
-        assert!(moved.mse[0] > 1e-5 && moved.mse[1] < 0.02 * moved.mse[0], "{moved:?}");
+        assert!(
+            turn1 < 0.2 * turn0 && shift1 < 0.3 * shift0,
+            "{turn1} of {turn0}, {shift1} of {shift0}"
+        );
+        assert!(
+            moved.mse[0] > 1e-5 && moved.mse[1] < 0.02 * moved.mse[0],
+            "{moved:?}"
+        );
         // without a step nothing moves
         let none = RefineRule { steps: 0, ..rule };
-        let (same, moved) = Refiner::new(&scene, level).refine(&start, t, &reference, &none, &Silent).unwrap();
+        let (same, moved) = Refiner::new(&scene, level)
+            .refine(&start, t, &reference, &none, &Silent)
+            .unwrap();
         assert_eq!((same, moved.shifted), (start, 0.0));
     }
 }

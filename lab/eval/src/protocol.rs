@@ -4,10 +4,12 @@
 //! name --Rules--> frames held out, resolution, masks, metrics, LPIPS, how test poses are treated
 //! ```
 //!
-//! The rules are plain data ([`Rules`]), from the programs that made the published numbers (RoDyGS, Instant4D, `KAIR-BAIR/dycheck`,
-//! `facebookresearch/robust-dynrf`, MoSca); what such a program leaves open is stated in [`Rules::note`]. Two tasks are distinguished
-//! ([`Task`]): images of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
-//! papers, and images of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
+//! The rules are plain data ([`Rules`]), from the programs that made the published numbers (RoDyGS,
+//! Instant4D, `KAIR-BAIR/dycheck`, `facebookresearch/robust-dynrf`, MoSca); what such a program
+//! leaves open is stated in [`Rules::note`]. Two tasks are distinguished ([`Task`]): images of the
+//! *training* camera at moments that were held out, which is the table of the Minute4D and
+//! Instant4D papers, and images of *other* cameras, which is DyCheck's own test. The same scenes
+//! score 7 dB apart in the two.
 
 use m4_eval::image::{Metric, PsnrKind, SsimKind};
 use minute4d::settings::{UnknownName, by_name};
@@ -41,14 +43,15 @@ impl Task {
 pub enum Protocol {
     /// Every eighth frame of the training video is held out, as loaders of LLFF scenes do it.
     Holdout,
-    /// Instant4D on DyCheck: 85 % of the frames of camera 0 train, evenly spaced. The first table of the Minute4D paper compares
-    /// with numbers that were made so.
+    /// Instant4D on DyCheck: 85 % of the frames of camera 0 train, evenly spaced. The first table
+    /// of the Minute4D paper compares with numbers that were made so.
     Instant4d,
     /// RoDyGS on DyCheck: frame `i` of camera 0 is held out where `(i + 4) mod 8 = 0`.
     Rodygs,
     /// DyCheck's own: views of other cameras, scored where the training video saw the place.
     Dycheck,
-    /// NVIDIA Dynamic Scenes as RoDynRF takes them: 12 training images, views of camera 0 at their moments.
+    /// NVIDIA Dynamic Scenes as RoDynRF takes them: 12 training images, views of camera 0 at their
+    /// moments.
     Nvidia,
     /// Every fourth frame of a clip of DAVIS is held out.
     Davis,
@@ -56,7 +59,14 @@ pub enum Protocol {
 
 impl Protocol {
     /// All variants.
-    pub const ALL: [Self; 6] = [Self::Holdout, Self::Instant4d, Self::Rodygs, Self::Dycheck, Self::Nvidia, Self::Davis];
+    pub const ALL: [Self; 6] = [
+        Self::Holdout,
+        Self::Instant4d,
+        Self::Rodygs,
+        Self::Dycheck,
+        Self::Nvidia,
+        Self::Davis,
+    ];
 
     /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
@@ -95,7 +105,8 @@ pub enum FrameRule {
         /// Added to the index first.
         offset: usize,
     },
-    /// All but `int(train_share * n)` frames that `numpy.linspace(0, n - 1, ..)` names, fractions cut off.
+    /// All but `int(train_share * n)` frames that `numpy.linspace(0, n - 1, ..)` names, fractions
+    /// cut off.
     Linspace {
         /// Share of the frames that train, 0..1.
         train_share: f64,
@@ -105,16 +116,25 @@ pub enum FrameRule {
 }
 
 impl FrameRule {
-    /// Indices of the held-out frames of a video of `frames`, ascending; `None` where the capture brings its views.
+    /// Indices of the held-out frames of a video of `frames`, ascending; `None` where the capture
+    /// brings its views.
     pub fn held_out(self, frames: usize) -> Option<Vec<usize>> {
         match self {
             Self::Every { every, offset } => {
                 let every = every.max(1);
-                Some((0..frames).filter(|i| (i + offset).is_multiple_of(every)).collect())
+                Some(
+                    (0..frames)
+                        .filter(|i| (i + offset).is_multiple_of(every))
+                        .collect(),
+                )
             }
             Self::Linspace { train_share } => {
                 let train = linspace(frames, (frames as f64 * train_share) as usize);
-                Some((0..frames).filter(|i| train.binary_search(i).is_err()).collect())
+                Some(
+                    (0..frames)
+                        .filter(|i| train.binary_search(i).is_err())
+                        .collect(),
+                )
             }
             Self::TestSplit => None,
         }
@@ -123,7 +143,9 @@ impl FrameRule {
     /// Description for reports.
     pub fn description(self) -> String {
         match self {
-            Self::Every { every, offset: 0 } => format!("frame i of the training video where i mod {every} = 0"),
+            Self::Every { every, offset: 0 } => {
+                format!("frame i of the training video where i mod {every} = 0")
+            }
             Self::Every { every, offset } => {
                 format!("frame i of the training video where (i + {offset}) mod {every} = 0")
             }
@@ -145,7 +167,8 @@ pub enum StartPose {
     NearestTraining,
 }
 
-/// Refinement of the pose of a test image against the finished scene: Adam on the squared error of the image.
+/// Refinement of the pose of a test image against the finished scene: Adam on the squared error of
+/// the image.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RefineRule {
     /// Steps of Adam.
@@ -179,7 +202,8 @@ pub struct Rules {
     pub task: Task,
     /// Which frames are held out.
     pub frames: FrameRule,
-    /// Columns and rows of the images that published numbers are of; `None` where it takes those of the capture.
+    /// Columns and rows of the images that published numbers are of; `None` where it takes those of
+    /// the capture.
     pub size_px: Option<[usize; 2]>,
     /// Scores count where the training video saw the place.
     pub covisible: bool,
@@ -189,8 +213,8 @@ pub struct Rules {
     pub inside: &'static [Metric],
     /// Networks of LPIPS; inside a mask AlexNet alone, as DyCheck's mLPIPS.
     pub lpips: &'static [LpipsRule],
-    /// Name of the score that stands for the protocol in tables, of [`m4_eval::image::FrameScore::others`]; `None` for the joint PSNR of
-    /// the whole image.
+    /// Name of the score that stands for the protocol in tables, of
+    /// [`m4_eval::image::FrameScore::others`]; `None` for the joint PSNR of the whole image.
     pub headline: Option<&'static str>,
     /// Refinement of test poses in published methods, if any.
     pub refine: Option<RefineRule>,
@@ -209,7 +233,10 @@ const HELD_OUT: Rules = Rules {
     name: "holdout",
     title: "every eighth frame of the training video held out",
     task: Task::HeldOutFrames,
-    frames: FrameRule::Every { every: 8, offset: 0 },
+    frames: FrameRule::Every {
+        every: 8,
+        offset: 0,
+    },
     size_px: None,
     covisible: false,
     whole: &[PER_CHANNEL, ZERO_PADDED],
@@ -236,9 +263,16 @@ static TABLE: [Rules; 6] = [
         protocol: Protocol::Rodygs,
         name: "rodygs",
         title: "every eighth frame of DyCheck's camera 0 held out (RoDyGS)",
-        frames: FrameRule::Every { every: 8, offset: 4 },
+        frames: FrameRule::Every {
+            every: 8,
+            offset: 4,
+        },
         size_px: DYCHECK_2X,
-        refine: Some(RefineRule { steps: 1000, lr: 5e-5, start: StartPose::NearestTraining }),
+        refine: Some(RefineRule {
+            steps: 1000,
+            lr: 5e-5,
+            start: StartPose::NearestTraining,
+        }),
         note: "RoDyGS estimates poses of the training frames alone and finds those of the held-out ones by refinement",
         ..HELD_OUT
     },
@@ -251,10 +285,17 @@ static TABLE: [Rules; 6] = [
         size_px: DYCHECK_2X,
         covisible: true,
         whole: &[],
-        inside: &[Metric::Psnr(PsnrKind::Joint), Metric::Ssim(SsimKind::DycheckMasked)],
+        inside: &[
+            Metric::Psnr(PsnrKind::Joint),
+            Metric::Ssim(SsimKind::DycheckMasked),
+        ],
         lpips: &[LpipsRule::Alex],
         headline: Some("psnr_joint_masked"),
-        refine: Some(RefineRule { steps: 30, lr: 3e-3, start: StartPose::Given }),
+        refine: Some(RefineRule {
+            steps: 30,
+            lr: 3e-3,
+            start: StartPose::Given,
+        }),
         note: "older papers average 5 scenes at the full size, newer ones 7 at half of it; SSIM over 11 px windows that lie wholly inside",
     },
     Rules {
@@ -265,24 +306,35 @@ static TABLE: [Rules; 6] = [
         frames: FrameRule::TestSplit,
         size_px: Some([480, 270]),
         covisible: false,
-        whole: &[Metric::Psnr(PsnrKind::EightBit), Metric::Ssim(SsimKind::SkimageUniform)],
+        whole: &[
+            Metric::Psnr(PsnrKind::EightBit),
+            Metric::Ssim(SsimKind::SkimageUniform),
+        ],
         inside: &[],
         lpips: &[LpipsRule::Alex],
         headline: Some("psnr_eight_bit"),
-        refine: Some(RefineRule { steps: 100, lr: 3e-4, start: StartPose::Given }),
+        refine: Some(RefineRule {
+            steps: 100,
+            lr: 3e-4,
+            start: StartPose::Given,
+        }),
         note: "the view at time 0 is the first training image; scores are given with it, as the result bundle has it, and without",
     },
     Rules {
         protocol: Protocol::Davis,
         name: "davis",
         title: "every fourth frame of a clip of DAVIS held out",
-        frames: FrameRule::Every { every: 4, offset: 2 },
+        frames: FrameRule::Every {
+            every: 4,
+            offset: 2,
+        },
         note: "a substitute of this program: DAVIS has no other view, and the papers show images of it alone",
         ..HELD_OUT
     },
 ];
 
-/// `numpy.linspace(0, n - 1, count).astype(int)`: in doubles, `i * step`, the last one `n - 1` itself.
+/// `numpy.linspace(0, n - 1, count).astype(int)`: in doubles, `i * step`, the last one `n - 1`
+/// itself.
 fn linspace(n: usize, count: usize) -> Vec<usize> {
     let last = n.saturating_sub(1);
     match count {
@@ -304,7 +356,10 @@ mod tests {
     fn names_are_read_back_and_tasks_follow_from_the_frames() {
         for protocol in Protocol::ALL {
             assert_eq!(protocol.name().parse(), Ok(protocol));
-            assert_eq!(serde_json::to_string(&protocol).unwrap(), format!("{:?}", protocol.name()));
+            assert_eq!(
+                serde_json::to_string(&protocol).unwrap(),
+                format!("{:?}", protocol.name())
+            );
             let rules = protocol.rules();
             assert_eq!(rules.protocol, protocol);
             let novel = rules.frames == FrameRule::TestSplit;
@@ -320,7 +375,10 @@ mod tests {
     /// Expected values: numpy 2, `np.linspace(0, n - 1, int(n * 0.85)).astype(int)`.
     #[test]
     fn the_split_of_instant4d_is_that_of_numpy() {
-        assert_eq!(linspace(20, 17), [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 16, 17, 19]);
+        assert_eq!(
+            linspace(20, 17),
+            [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 16, 17, 19]
+        );
         assert_eq!(held_out(Protocol::Instant4d, 6), [4]);
         assert_eq!(held_out(Protocol::Instant4d, 12), [5, 10]);
         assert_eq!(held_out(Protocol::Instant4d, 13), [5, 11]);

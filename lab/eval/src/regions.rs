@@ -1,4 +1,5 @@
-//! The dynamic objects of a frame, as lists of pixels: instances where the frame has them, else connected regions of its mask.
+//! The dynamic objects of a frame, as lists of pixels: instances where the frame has them, else
+//! connected regions of its mask.
 
 use m4_core::{CaptureFrame, covering};
 use std::collections::BTreeMap;
@@ -6,7 +7,8 @@ use std::collections::BTreeMap;
 /// Connected regions with fewer pixels are noise.
 const LEAST_PIXELS: usize = 40;
 
-/// The number of an object, the same in all frames, and its pixels `(x, y)` in the image. Regions of a mask have the number 0.
+/// The number of an object, the same in all frames, and its pixels `(x, y)` in the image. Regions
+/// of a mask have the number 0.
 pub(super) fn regions(frame: &CaptureFrame) -> Vec<(u16, Vec<(usize, usize)>)> {
     let (w, h) = frame.rgb.size();
     if let Some(ids) = &frame.instances {
@@ -20,8 +22,12 @@ pub(super) fn regions(frame: &CaptureFrame) -> Vec<(u16, Vec<(usize, usize)>)> {
         }
         return objects.into_iter().collect();
     }
-    let Some(mask) = &frame.mask else { return Vec::new() };
-    let mut rest: Vec<bool> = (0..w * h).map(|i| mask.covers((i % w, i / w), (w, h))).collect();
+    let Some(mask) = &frame.mask else {
+        return Vec::new();
+    };
+    let mut rest: Vec<bool> = (0..w * h)
+        .map(|i| mask.covers((i % w, i / w), (w, h)))
+        .collect();
     let mut found = Vec::new();
     for start in 0..w * h {
         if !std::mem::take(&mut rest[start]) {

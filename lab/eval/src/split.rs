@@ -40,7 +40,8 @@ pub struct SplitRecord {
     pub held_out: Vec<usize>,
     /// Their names in the source.
     pub held_out_names: Vec<String>,
-    /// The poses, depth and masks are those of the source: their estimation saw the held-out frames.
+    /// The poses, depth and masks are those of the source: their estimation saw the held-out
+    /// frames.
     pub geometry_saw_held_out: bool,
 }
 
@@ -53,9 +54,13 @@ impl SplitRecord {
     pub fn read(capture: &Path) -> Result<Option<Self>, Error> {
         let path = capture.join(SPLIT_FILE);
         match files::read(&path, MAX_RECORD_BYTES) {
-            Ok(bytes) => serde_json::from_slice(&bytes)
-                .map(Some)
-                .map_err(|e| minute4d::Error::Read { path, source: e.into() }.into()),
+            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|e| {
+                minute4d::Error::Read {
+                    path,
+                    source: e.into(),
+                }
+                .into()
+            }),
             Err(_) if !path.exists() => Ok(None),
             Err(source) => Err(minute4d::Error::Read { path, source }.into()),
         }
@@ -72,8 +77,8 @@ struct Parts {
     held_out: Vec<usize>,
 }
 
-/// Splits the frames of a video by a protocol. Refused for protocols whose views come with the data, if fewer than two frames would train
-/// or none test, or if tracks do not match the frames.
+/// Splits the frames of a video by a protocol. Refused for protocols whose views come with the
+/// data, if fewer than two frames would train or none test, or if tracks do not match the frames.
 fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
     let frames = capture.frames.len();
     let rule = protocol.rules().frames;
@@ -89,14 +94,22 @@ fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
             "the protocol {protocol} leaves {train} of {frames} frames for training and {test} for evaluation; use a longer clip"
         )));
     }
-    let trains: Vec<usize> = (0..frames).filter(|i| held_out.binary_search(i).is_err()).collect();
-    let tracks = capture.tracks.as_ref().map(|tracks| tracks.in_order(&trains));
+    let trains: Vec<usize> = (0..frames)
+        .filter(|i| held_out.binary_search(i).is_err())
+        .collect();
+    let tracks = capture
+        .tracks
+        .as_ref()
+        .map(|tracks| tracks.in_order(&trains));
     let tracks = tracks.transpose().map_err(|e| {
         let hint = "compute them again with `minute4d enhance`";
-        Refusal::bad_input(format!("tracks of the capture do not match its frames: {e}; {hint}"))
+        Refusal::bad_input(format!(
+            "tracks of the capture do not match its frames: {e}; {hint}"
+        ))
     })?;
     let frames = capture.frames.into_iter().enumerate();
-    let (test, train): (Vec<_>, Vec<_>) = frames.partition(|(i, _)| held_out.binary_search(i).is_ok());
+    let (test, train): (Vec<_>, Vec<_>) =
+        frames.partition(|(i, _)| held_out.binary_search(i).is_ok());
     let part = |frames: Vec<(usize, CaptureFrame)>, tracks| Capture {
         frames: frames.into_iter().map(|(_, frame)| frame).collect(),
         time_frames: capture.time_frames,
@@ -104,17 +117,22 @@ fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
         metric: capture.metric,
         tracks,
     };
-    Ok(Parts { train: part(train, tracks), test: part(test, None), held_out })
+    Ok(Parts {
+        train: part(train, tracks),
+        test: part(test, None),
+        held_out,
+    })
 }
 
-/// Splits the training frames of the capture `data` by a protocol and writes the capture `out`, whose record is
-/// [`SPLIT_FILE`].
+/// Splits the training frames of the capture `data` by a protocol and writes the capture `out`,
+/// whose record is [`SPLIT_FILE`].
 ///
 /// [`Existing::Resume`] keeps what is there if it is the same split of the same capture.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] for a protocol or a capture that cannot be split; [`Error::Output`] for a folder that holds something; else what could not be read or written.
+/// [`Error::Refused`] for a protocol or a capture that cannot be split; [`Error::Output`] for a
+/// folder that holds something; else what could not be read or written.
 pub fn split(
     data: &Path,
     protocol: Protocol,
@@ -124,7 +142,11 @@ pub fn split(
     observer: &dyn Observer,
 ) -> Result<SplitRecord, Error> {
     if !data.exists() {
-        return Err(minute4d::Error::Missing { what: "capture", path: data.to_path_buf() }.into());
+        return Err(minute4d::Error::Missing {
+            what: "capture",
+            path: data.to_path_buf(),
+        }
+        .into());
     }
     let mut settings = Settings::fast();
     settings.capture.reach = reach;
@@ -147,7 +169,11 @@ pub fn split(
         geometry_saw_held_out: true,
     };
     let mut results = ResultFolder::open(out, Kind::Capture)?;
-    let list = if data.is_dir() { data } else { data.parent().unwrap_or(data) };
+    let list = if data.is_dir() {
+        data
+    } else {
+        data.parent().unwrap_or(data)
+    };
     results.check_not_itself(&[list])?;
     let names = || capture_names().chain([SPLIT_FILE]);
     results.check_inputs(names(), &[data])?;
@@ -156,10 +182,18 @@ pub fn split(
             (Some(earlier), Existing::Resume) if earlier == record => return Ok(record),
             (Some(_), Existing::Resume | Existing::Force) | (None, Existing::Force) => {}
             (Some(_), Existing::Refuse) => {
-                return Err(OutputError::Exists { path: out.to_path_buf(), what: "a split capture".to_owned() }.into());
+                return Err(OutputError::Exists {
+                    path: out.to_path_buf(),
+                    what: "a split capture".to_owned(),
+                }
+                .into());
             }
             (None, _) => {
-                return Err(OutputError::NotOurs { path: out.to_path_buf(), missing: SPLIT_FILE }.into());
+                return Err(OutputError::NotOurs {
+                    path: out.to_path_buf(),
+                    missing: SPLIT_FILE,
+                }
+                .into());
             }
         }
     }
@@ -190,27 +224,51 @@ mod tests {
         }
         let xyz = (0..n).map(|i| [i as f32, 0.0, 1.0]).collect();
         let tracks = Some(Tracks::new(n, 1, xyz, vec![true; n]).unwrap());
-        Capture { duration_s: Some(3.0), metric: true, tracks, ..clip }
+        Capture {
+            duration_s: Some(3.0),
+            metric: true,
+            tracks,
+            ..clip
+        }
     }
 
     #[test]
     fn moments_stay_and_tracks_lose_the_held_out_frames() {
-        let Parts { train, test, held_out } = parts(clip(24), Protocol::Rodygs).unwrap();
+        let Parts {
+            train,
+            test,
+            held_out,
+        } = parts(clip(24), Protocol::Rodygs).unwrap();
         assert_eq!(held_out, [4, 12, 20]);
         let moments = |c: &Capture| c.frames.iter().map(|f| f.t).collect::<Vec<_>>();
         assert_eq!(moments(&test), [4.0, 12.0, 20.0]);
         assert_eq!(train.frames.len(), 21);
-        assert_eq!((train.time_frames, test.time_frames, train.metric), (24, 24, true));
-        assert!(train.frames.iter().all(|f| f.t == f64::from(f.rgb[(0, 0)][0])));
+        assert_eq!(
+            (train.time_frames, test.time_frames, train.metric),
+            (24, 24, true)
+        );
+        assert!(
+            train
+                .frames
+                .iter()
+                .all(|f| f.t == f64::from(f.rgb[(0, 0)][0]))
+        );
         let tracks = train.tracks.unwrap();
-        assert_eq!((tracks.frames(), tracks.place(4, 0)), (21, Some([5.0, 0.0, 1.0])));
+        assert_eq!(
+            (tracks.frames(), tracks.place(4, 0)),
+            (21, Some([5.0, 0.0, 1.0]))
+        );
     }
 
     #[test]
     fn splits_that_leave_too_few_frames_are_refused() {
         for (frames, protocol, words) in [
             (8, Protocol::Dycheck, "nothing to split"),
-            (3, Protocol::Rodygs, "3 of 3 frames for training and 0 for evaluation"),
+            (
+                3,
+                Protocol::Rodygs,
+                "3 of 3 frames for training and 0 for evaluation",
+            ),
             (2, Protocol::Instant4d, "1 of 2 frames for training"),
         ] {
             let message = parts(clip(frames), protocol).unwrap_err().to_string();
@@ -223,30 +281,75 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (full, out) = (dir.path().join("full"), dir.path().join("out"));
         capture::write(&full, &clip(24), Split::Train, &Silent).unwrap();
-        let record = split(&full, Protocol::Instant4d, &out, Existing::Refuse, Reach::Inside, &Silent).unwrap();
+        let record = split(
+            &full,
+            Protocol::Instant4d,
+            &out,
+            Existing::Refuse,
+            Reach::Inside,
+            &Silent,
+        )
+        .unwrap();
         assert_eq!(record.held_out, [5, 11, 17, 22]);
         assert_eq!(record.held_out_names[0], "train/00005.png");
         let read = |which| capture::read(&out, which, &CaptureOptions::default(), &Silent).unwrap();
         let (train, test) = (read(Split::Train), read(Split::Test));
         assert_eq!((train.frames.len(), test.frames.len()), (20, 4));
         assert_eq!(train.time_frames, test.time_frames);
-        // the moment of a frame as a share of the video, whatever its number of frames is taken to be
+        // the moment of a frame as a share of the video, whatever its number of frames is taken to
+        // be
         let last = (train.time_frames - 1) as f64;
         for frame in train.frames.iter().chain(&test.frames) {
             let i = f64::from(frame.rgb[(0, 0)][0]);
             assert!((frame.t / last - i / 23.0).abs() < 1e-12, "{} {i}", frame.t);
         }
-        let again = |existing| split(&full, Protocol::Instant4d, &out, existing, Reach::Inside, &Silent);
+        let again = |existing| {
+            split(
+                &full,
+                Protocol::Instant4d,
+                &out,
+                existing,
+                Reach::Inside,
+                &Silent,
+            )
+        };
         assert!(matches!(
             again(Existing::Refuse),
-            Err(Error::Minute4d(minute4d::Error::Output(OutputError::Exists { .. })))
+            Err(Error::Minute4d(minute4d::Error::Output(
+                OutputError::Exists { .. }
+            )))
         ));
         assert_eq!(again(Existing::Resume).unwrap(), record);
-        let other = split(&full, Protocol::Holdout, &out, Existing::Force, Reach::Inside, &Silent).unwrap();
+        let other = split(
+            &full,
+            Protocol::Holdout,
+            &out,
+            Existing::Force,
+            Reach::Inside,
+            &Silent,
+        )
+        .unwrap();
         assert_eq!(other.held_out, [0, 8, 16]);
-        assert_eq!(capture::read(&out, Split::Test, &CaptureOptions::default(), &Silent).unwrap().frames.len(), 3);
-        assert_eq!(std::fs::read_dir(out.join("test")).unwrap().count(), 3, "nothing of the first split is left");
-        let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, Reach::Inside, &Silent);
+        assert_eq!(
+            capture::read(&out, Split::Test, &CaptureOptions::default(), &Silent)
+                .unwrap()
+                .frames
+                .len(),
+            3
+        );
+        assert_eq!(
+            std::fs::read_dir(out.join("test")).unwrap().count(),
+            3,
+            "nothing of the first split is left"
+        );
+        let foreign = split(
+            &full,
+            Protocol::Holdout,
+            &full,
+            Existing::Force,
+            Reach::Inside,
+            &Silent,
+        );
         assert_eq!(foreign.unwrap_err().category(), Category::CannotWrite);
     }
 }

@@ -24,7 +24,8 @@ pub struct EvalGeometry {
     /// Ground truth: a capture folder or a transforms file
     #[arg(long, value_name = "SCENE")]
     pub truth: PathBuf,
-    /// Replace one kind of estimate at a time by the truth, and score the held-out views of SCENE by warping depth into them
+    /// Replace one kind of estimate at a time by the truth, and score the held-out views of SCENE
+    /// by warping depth into them
     #[arg(long)]
     pub explain: bool,
     /// Also train each of these captures for N iterations
@@ -33,7 +34,8 @@ pub struct EvalGeometry {
     /// Folder for the captures and scenes of `--train`; finished scenes are kept
     #[arg(long, short, value_name = "DIR", requires = "train")]
     pub out: Option<PathBuf>,
-    /// Also compare the motion that first splats get from the frames, depth and masks of SCENE with its tracks
+    /// Also compare the motion that first splats get from the frames, depth and masks of SCENE with
+    /// its tracks
     #[arg(long)]
     pub motion: bool,
     #[command(flatten)]
@@ -54,7 +56,12 @@ pub fn run_geometry(args: &EvalGeometry, output: &Output) -> Result<(), Failure>
         settings.capture.reach = reach;
         settings.train.iterations = args.train.unwrap_or(settings.train.iterations);
         settings.viewer.write = false;
-        let job = Job { settings, device: DeviceRequest::default(), existing: Existing::Resume, observer: output };
+        let job = Job {
+            settings,
+            device: DeviceRequest::default(),
+            existing: Existing::Resume,
+            observer: output,
+        };
         let training = args.out.as_deref().map(|out| (out, &job));
         let options = &job.settings.capture;
         let rows = explain(&args.capture, &args.truth, options, training, output)?;
@@ -72,7 +79,8 @@ pub struct Reproduce {
     /// Folder with the scenes in their published layout
     #[arg(long, value_name = "DIR")]
     pub data: PathBuf,
-    /// Folder for the tables (reproduce.md, reproduce.json, one image per scene) and the runs; finished scenes are not run again
+    /// Folder for the tables (reproduce.md, reproduce.json, one image per scene) and the runs;
+    /// finished scenes are not run again
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     /// Evaluation protocols [default: those of the data set: instant4d,dycheck; nvidia; davis]
@@ -84,17 +92,20 @@ pub struct Reproduce {
     /// Downscaling factor of the images of DyCheck and NVIDIA [default: 2, as in published results]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=8))]
     pub factor: Option<u32>,
-    /// Optimise the poses of test images before scoring, where published methods do under the protocol
+    /// Optimise the poses of test images before scoring, where published methods do under the
+    /// protocol
     #[arg(long)]
     pub refine_poses: bool,
-    /// Poses and depth to train with: given (those of the data set) or own (estimated from the training images; views of other cameras are
-    /// then placed by alignment) [davis: always own]
+    /// Poses and depth to train with: given (those of the data set) or own (estimated from the
+    /// training images; views of other cameras are then placed by alignment) [davis: always own]
     #[arg(long, value_name = "WHOSE", default_value = "given", value_parser = sources())]
     pub geometry: GeometrySource,
-    /// Also run every scene without segmentation, without tracking, without loss-guided density control, and without any
+    /// Also run every scene without segmentation, without tracking, without loss-guided density
+    /// control, and without any
     #[arg(long)]
     pub ablations: bool,
-    /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N`, or `auto` (networks on the CPU)
+    /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N`, or `auto` (networks on
+    /// the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     #[command(flatten)]
@@ -108,7 +119,11 @@ pub struct Reproduce {
 fn sources() -> impl TypedValueParser<Value = GeometrySource> {
     choice([
         ("given", "Those of the data set", GeometrySource::Given),
-        ("own", "Estimated from the training images alone", GeometrySource::Own),
+        (
+            "own",
+            "Estimated from the training images alone",
+            GeometrySource::Own,
+        ),
     ])
 }
 
@@ -127,9 +142,17 @@ pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
         factor: args.factor,
         refine_poses: args.refine_poses,
     };
-    let job = Job { settings, device: args.device.into(), existing: Existing::Resume, observer: output };
+    let job = Job {
+        settings,
+        device: args.device.into(),
+        existing: Existing::Resume,
+        observer: output,
+    };
     let report = reproduce(args.suite, &args.data, &args.out, &options, &job)?;
-    output.note(&format!("tables written to {}", args.out.join(TABLE_FILE).display()));
+    output.note(&format!(
+        "tables written to {}",
+        args.out.join(TABLE_FILE).display()
+    ));
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
     Ok(())
 }
@@ -144,7 +167,8 @@ pub struct Ablate {
     /// The capture whose transforms_test.json lists the held-out views [default: the input]
     #[arg(long, value_name = "CAPTURE")]
     pub data: Option<PathBuf>,
-    /// Rows in addition to the full method: no-seg, no-track, no-loss-guided (densification by gradients, as 3DGS), no-density [default: all]
+    /// Rows in addition to the full method: no-seg, no-track, no-loss-guided (densification by
+    /// gradients, as 3DGS), no-density [default: all]
     #[arg(long, value_name = "ROW,ROW", value_delimiter = ',')]
     pub rows: Vec<Row>,
     /// Dilate the masks of dynamic regions by this many pixels before scoring
@@ -178,10 +202,18 @@ pub fn ablate(args: &Ablate, output: &Output) -> Result<(), Failure> {
         data: args.data.clone(),
         grow_mask: args.grow_mask,
     };
-    let job = Job { settings, device: args.device.into(), existing: Existing::Resume, observer: output };
+    let job = Job {
+        settings,
+        device: args.device.into(),
+        existing: Existing::Resume,
+        observer: output,
+    };
     let report = ablate::ablate(&args.input, &args.out, &options, &job)?;
     if let Some(image) = &report.image {
-        output.note(&format!("{}: source, without tracking, full method", image.display()));
+        output.note(&format!(
+            "{}: source, without tracking, full method",
+            image.display()
+        ));
     }
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
     Ok(())

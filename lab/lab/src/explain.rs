@@ -1,5 +1,5 @@
-//! What each kind of error costs: one kind of estimate is replaced by the truth, and the capture is warped into the held-out views, or
-//! trained and scored.
+//! What each kind of error costs: one kind of estimate is replaced by the truth, and the capture is
+//! warped into the held-out views, or trained and scored.
 
 use m4_core::CaptureFrame;
 use m4_eval::geometry::{Substitutes, Substitution};
@@ -9,7 +9,9 @@ use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::results::{Kind, ResultFolder};
 use minute4d::Observer;
 use minute4d_cli::run::Job;
-use minute4d_eval::{Error, EvalOptions, SetScore, mean_of, no_test_list, read_truth, read_views, views};
+use minute4d_eval::{
+    Error, EvalOptions, SetScore, mean_of, no_test_list, read_truth, read_views, views,
+};
 use serde::Serialize;
 use std::path::Path;
 
@@ -28,12 +30,14 @@ pub struct ExplainRow {
     pub trained: Option<MeanScore>,
 }
 
-/// Replaces each kind of estimate of `capture` by that of the scene `truth` and scores the far and near views by warping; with a folder and
-/// a job, also trains each in a folder of its own (finished ones are kept).
+/// Replaces each kind of estimate of `capture` by that of the scene `truth` and scores the far and
+/// near views by warping; with a folder and a job, also trains each in a folder of its own
+/// (finished ones are kept).
 ///
 /// # Errors
 ///
-/// What cannot be read or written; [`Error::ScoreGeometry`] if the two cannot be compared; [`Error::Refused`] without held-out views.
+/// What cannot be read or written; [`Error::ScoreGeometry`] if the two cannot be compared;
+/// [`Error::Refused`] without held-out views.
 pub fn explain(
     capture: &Path,
     truth: &Path,
@@ -56,17 +60,39 @@ pub fn explain(
         observer.update("explain", i, Substitution::ALL.len(), name);
         let replaced = substitutes.capture(what);
         let trained = training
-            .map(|(folder, job)| trained(&folder.join(name.replace(' ', "-")), job, &replaced, truth, options))
+            .map(|(folder, job)| {
+                trained(
+                    &folder.join(name.replace(' ', "-")),
+                    job,
+                    &replaced,
+                    truth,
+                    options,
+                )
+            })
             .transpose()?;
         let warp = Warp::new(&replaced);
         for (set, views) in &lists {
             let share = |view: &CaptureFrame| view.t / (views.time_frames.max(2) - 1) as f64;
             let warped = mean_of(&views.frames, &|view| warp.view(&view.camera, share(view)))?;
-            let trained = trained.as_ref().and_then(|t| t.iter().find(|row| row.set == *set)).map(|row| row.mean);
-            rows.extend(warped.map(|warped| ExplainRow { what, name, set: (*set).to_owned(), warped, trained }));
+            let trained = trained
+                .as_ref()
+                .and_then(|t| t.iter().find(|row| row.set == *set))
+                .map(|row| row.mean);
+            rows.extend(warped.map(|warped| ExplainRow {
+                what,
+                name,
+                set: (*set).to_owned(),
+                warped,
+                trained,
+            }));
         }
     }
-    observer.update("explain", Substitution::ALL.len(), Substitution::ALL.len(), "done");
+    observer.update(
+        "explain",
+        Substitution::ALL.len(),
+        Substitution::ALL.len(),
+        "done",
+    );
     Ok(rows)
 }
 
@@ -78,13 +104,19 @@ fn trained(
     truth: &Path,
     options: &CaptureOptions,
 ) -> Result<Vec<SetScore>, Error> {
-    let (data, out) = (folder.join(minute4d::layout::CAPTURE_FOLDER), folder.join("scene"));
+    let (data, out) = (
+        folder.join(minute4d::layout::CAPTURE_FOLDER),
+        folder.join("scene"),
+    );
     let mut results = ResultFolder::open(&data, Kind::Capture)?;
     results.check_free(minute4d::layout::capture_names())?;
     capture::write(&results.begin()?, replaced, Split::Train, job.observer)?;
     results.commit(None)?;
     minute4d_cli::run::train::make(&data, &out, job)?;
-    let options = EvalOptions { reach: options.reach, ..EvalOptions::default() };
+    let options = EvalOptions {
+        reach: options.reach,
+        ..EvalOptions::default()
+    };
     Ok(views(&out, truth, &options, job.observer)?.sets)
 }
 
@@ -92,11 +124,26 @@ fn trained(
 #[must_use]
 pub fn explain_table(rows: &[ExplainRow]) -> String {
     let cell = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.2}"));
-    let score = |m: &MeanScore| format!("{:.2} / {} / {}", m.psnr_db, cell(m.masked_psnr_db), cell(m.static_psnr_db));
-    let mut out = format!("{:<22} {:<5} {:<24} trained\n", "whole/dynamic/static", "set", "warped");
+    let score = |m: &MeanScore| {
+        format!(
+            "{:.2} / {} / {}",
+            m.psnr_db,
+            cell(m.masked_psnr_db),
+            cell(m.static_psnr_db)
+        )
+    };
+    let mut out = format!(
+        "{:<22} {:<5} {:<24} trained\n",
+        "whole/dynamic/static", "set", "warped"
+    );
     for r in rows {
         let trained = r.trained.as_ref().map_or("-".to_owned(), score);
-        out += &format!("{:<22} {:<5} {:<24} {trained}\n", r.name, r.set, score(&r.warped));
+        out += &format!(
+            "{:<22} {:<5} {:<24} {trained}\n",
+            r.name,
+            r.set,
+            score(&r.warped)
+        );
     }
     out
 }

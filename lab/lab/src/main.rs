@@ -1,4 +1,5 @@
-//! The `minute4d-lab` program: measures minute4d against published tables, ground truth and itself without parts of the method.
+//! The `minute4d-lab` program: measures minute4d against published tables, ground truth and itself
+//! without parts of the method.
 //!
 //! ```text
 //! reproduce   data sets -> import, split, train, score -> the tables of papers
@@ -28,7 +29,8 @@ use std::process::ExitCode;
 
 /// Measures minute4d against published tables, ground truth and itself without parts of the method.
 ///
-/// `minute4d-lab minute4d ARGUMENTS` is the program itself. The result goes to stdout, progress and messages to stderr.
+/// `minute4d-lab minute4d ARGUMENTS` is the program itself. The result goes to stdout, progress and
+/// messages to stderr.
 #[derive(Debug, Parser)]
 #[command(name = "minute4d-lab", version, max_term_width = 100)]
 struct Lab {
@@ -46,7 +48,8 @@ enum Command {
     Ablate(Ablate),
     /// Compare the cameras, depth and masks of a capture with ground truth
     EvalGeometry(EvalGeometry),
-    /// Measure the tables of docs/results.md on rendered scenes and clips, and write them there; takes hours
+    /// Measure the tables of docs/results.md on rendered scenes and clips, and write them there;
+    /// takes hours
     Results(Results),
 }
 
@@ -69,8 +72,10 @@ impl Program for Lab {
 fn results(wanted: &Results) -> Result<(), Failure> {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let root = here.ancestors().nth(2).unwrap_or(here);
-    results::run(root, wanted)
-        .map_err(|error| Failure { code: Category::BadInput.exit_code(), reason: format!("{error:#}") })
+    results::run(root, wanted).map_err(|error| Failure {
+        code: Category::BadInput.exit_code(),
+        reason: format!("{error:#}"),
+    })
 }
 
 fn main() -> ExitCode {
@@ -90,9 +95,13 @@ mod tests {
     #[test]
     fn arguments_are_checked_when_parsed() {
         Lab::command().debug_assert();
-        let parsed = |line: &str| Lab::try_parse_from(std::iter::once("minute4d-lab").chain(line.split(' '))).is_ok();
+        let parsed = |line: &str| {
+            Lab::try_parse_from(std::iter::once("minute4d-lab").chain(line.split(' '))).is_ok()
+        };
         assert!(!parsed("reproduce kitti --data a -o b"));
-        assert!(parsed("ablate a -o b --data c --rows no-seg,no-track --iterations 100"));
+        assert!(parsed(
+            "ablate a -o b --data c --rows no-seg,no-track --iterations 100"
+        ));
         assert!(parsed(
             "reproduce dycheck --data a -o b --protocols instant4d,rodygs --scenes apple,spin --preset draft"
         ));

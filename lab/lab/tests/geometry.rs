@@ -12,11 +12,23 @@ use std::fs;
 fn a_capture_is_true_to_itself() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), true);
-    let same = dir.succeed("eval-geometry capture --truth capture --json").result();
-    assert!(same["trajectory"]["rmse"].as_f64().unwrap() < 1e-6, "{same}");
+    let same = dir
+        .succeed("eval-geometry capture --truth capture --json")
+        .result();
+    assert!(
+        same["trajectory"]["rmse"].as_f64().unwrap() < 1e-6,
+        "{same}"
+    );
     let object = &same["objects"][0];
-    assert_eq!((&object["distance"], &object["relief"], &object["missed"]), (&0.0.into(), &0.0.into(), &0.0.into()));
-    assert!(dir.succeed("eval-geometry capture --truth capture").stdout.contains("distance"));
+    assert_eq!(
+        (&object["distance"], &object["relief"], &object["missed"]),
+        (&0.0.into(), &0.0.into(), &0.0.into())
+    );
+    assert!(
+        dir.succeed("eval-geometry capture --truth capture")
+            .stdout
+            .contains("distance")
+    );
 }
 
 #[test]
@@ -25,8 +37,16 @@ fn files_that_cannot_be_read_are_refused() {
     write_capture(&dir.path("capture"), true);
     dir.write("poses.json", "{}");
     for (line, code, words) in [
-        ("eval-geometry capture --truth missing", 66, &["missing"][..]),
-        ("eval-geometry capture --truth poses.json", 65, &["poses.json", "lists no frames"]),
+        (
+            "eval-geometry capture --truth missing",
+            66,
+            &["missing"][..],
+        ),
+        (
+            "eval-geometry capture --truth poses.json",
+            65,
+            &["poses.json", "lists no frames"],
+        ),
     ] {
         dir.refused(line, code, words);
     }
@@ -34,8 +54,15 @@ fn files_that_cannot_be_read_are_refused() {
     let text = fs::read_to_string(&list).unwrap();
     fs::rename(dir.path("capture/train"), dir.path("private")).unwrap();
     fs::write(&list, text.replace("\"train/", "\"../private/")).unwrap();
-    for line in ["eval-geometry capture --truth capture", "ablate capture -o made --data capture"] {
-        dir.refused(line, 65, &["transforms_train.json", "private/", "--allow-outside"]);
+    for line in [
+        "eval-geometry capture --truth capture",
+        "ablate capture -o made --data capture",
+    ] {
+        dir.refused(
+            line,
+            65,
+            &["transforms_train.json", "private/", "--allow-outside"],
+        );
     }
 }
 
@@ -44,26 +71,53 @@ fn files_that_cannot_be_read_are_refused() {
 fn a_pipe_as_truth_is_not_read() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
-    let made = std::process::Command::new("mkfifo").arg(dir.path("pipe.json")).status().unwrap();
+    let made = std::process::Command::new("mkfifo")
+        .arg(dir.path("pipe.json"))
+        .status()
+        .unwrap();
     assert!(made.success());
-    dir.refused("eval-geometry capture --truth pipe.json", 65, &["pipe.json", "a pipe"]);
+    dir.refused(
+        "eval-geometry capture --truth pipe.json",
+        65,
+        &["pipe.json", "a pipe"],
+    );
 }
 
 #[test]
 fn motion_needs_true_tracks_and_is_compared_with_them() {
     let dir = written(false);
     let frames = capture(6, false).frames.len();
-    dir.refused("eval-geometry capture --truth capture --motion", 66, &["true tracks", "tracks.npz"]);
+    dir.refused(
+        "eval-geometry capture --truth capture --motion",
+        66,
+        &["true tracks", "tracks.npz"],
+    );
     let still = Tracks::new(frames, 1, vec![[0.0, 0.0, 2.0]; frames], vec![true; frames]).unwrap();
     tracks::write(&dir.path("capture/tracks.npz"), &still).unwrap();
-    let motion = &dir.succeed("eval-geometry capture --truth capture --motion --json").result()["motion"];
-    let after: Vec<&Value> = motion["carried"].as_array().unwrap().iter().map(|row| &row["after"]).collect();
-    assert!(after == [&5.0, &10.0] && motion["lives"]["count"].is_u64(), "{motion}");
-    let table = dir.succeed("eval-geometry capture --truth capture --motion").stdout;
-    assert!(table.contains("standard deviation") && table.contains("lives that end"), "{table}");
+    let motion = &dir
+        .succeed("eval-geometry capture --truth capture --motion --json")
+        .result()["motion"];
+    let after: Vec<&Value> = motion["carried"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|row| &row["after"])
+        .collect();
+    assert!(
+        after == [&5.0, &10.0] && motion["lives"]["count"].is_u64(),
+        "{motion}"
+    );
+    let table = dir
+        .succeed("eval-geometry capture --truth capture --motion")
+        .stdout;
+    assert!(
+        table.contains("standard deviation") && table.contains("lives that end"),
+        "{table}"
+    );
 }
 
-/// The capture with half the dynamic depth: `eval` has its baselines, and `--explain` names the cause, by warping and by training.
+/// The capture with half the dynamic depth: `eval` has its baselines, and `--explain` names the
+/// cause, by warping and by training.
 #[test]
 fn explanation_names_the_wrong_part_and_baselines_need_no_training() {
     let dir = written(true);
@@ -71,19 +125,40 @@ fn explanation_names_the_wrong_part_and_baselines_need_no_training() {
     for frame in &mut own.frames {
         let mask = frame.mask.clone().unwrap();
         let depth = frame.depth.as_ref().unwrap().to_map();
-        let near = |i: usize, z: f32| if mask.at(i % depth.width(), i / depth.width()) { 0.5 * z } else { z };
-        let wrong = depth.data().iter().enumerate().map(|(i, &z)| near(i, z)).collect();
-        frame.depth = Some(Plane::from_vec(depth.width(), depth.height(), wrong).unwrap().into());
+        let near = |i: usize, z: f32| {
+            if mask.at(i % depth.width(), i / depth.width()) {
+                0.5 * z
+            } else {
+                z
+            }
+        };
+        let wrong = depth
+            .data()
+            .iter()
+            .enumerate()
+            .map(|(i, &z)| near(i, z))
+            .collect();
+        frame.depth = Some(
+            Plane::from_vec(depth.width(), depth.height(), wrong)
+                .unwrap()
+                .into(),
+        );
     }
     files::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
-    let explained = dir.succeed("eval-geometry own --truth capture --explain --train 40 -o work --json").result();
+    let explained = dir
+        .succeed("eval-geometry own --truth capture --explain --train 40 -o work --json")
+        .result();
     let row = |what: &str, how: &str| {
         let rows = explained["explain"].as_array().unwrap();
-        let row = rows.iter().find(|r| r["what"] == what && r["set"] == "far").unwrap();
+        let row = rows
+            .iter()
+            .find(|r| r["what"] == what && r["set"] == "far")
+            .unwrap();
         row[how]["masked_psnr_db"].as_f64().unwrap()
     };
     for how in ["warped", "trained"] {
-        let [none, fixed, distance, all] = ["none", "static_depth", "distance", "all"].map(|what| row(what, how));
+        let [none, fixed, distance, all] =
+            ["none", "static_depth", "distance", "all"].map(|what| row(what, how));
         assert!(
             distance > none + 1.0 && (fixed - none).abs() < 0.5 && (all - distance).abs() < 1.0,
             "{how}: {explained}"

@@ -1,7 +1,8 @@
 //! Runs one clip in a child process that ends with its parent.
 //!
-//! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
-//! go of it or died: a killed process leaves no child behind that keeps writing.
+//! The parent holds the other end of the child's standard input. The child saves and stops when
+//! that ends, whether the parent let go of it or died: a killed process leaves no child behind that
+//! keeps writing.
 
 use m4_core::Progress;
 use minute4d::environment;
@@ -28,11 +29,15 @@ pub(crate) struct Ended {
     pub asked: bool,
 }
 
-/// Runs a child to its end, with what it needs of the environment. What it says on standard error goes to `log`, and which stages it went through.
+/// Runs a child to its end, with what it needs of the environment. What it says on standard error
+/// goes to `log`, and which stages it went through.
 pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::Result<Ended> {
     let stages = log.try_clone()?;
     environment::pass_on(&mut command, &[]);
-    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
+    command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(log);
     // Ctrl-C at a terminal goes to the whole group; only the parent forwards it to the child, once.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
@@ -57,10 +62,15 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::
         };
         drop(hold);
         let _ = reader.join();
-        let message = last_messages.lock().map(|message| message.clone()).unwrap_or_default();
+        let message = last_messages
+            .lock()
+            .map(|message| message.clone())
+            .unwrap_or_default();
         Ok(Ended {
             code: status.code(),
-            reason: message.filter(|_| status.code().is_some()).unwrap_or_else(|| exit_message(status)),
+            reason: message
+                .filter(|_| status.code().is_some())
+                .unwrap_or_else(|| exit_message(status)),
             asked: asked.is_some(),
         })
     })
@@ -77,8 +87,12 @@ fn end(child: &mut Child) {
 fn exit_message(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
-        Some(9) => "killed by signal 9; unless it was sent by hand, the machine was out of memory".to_owned(),
-        Some(6) => "aborted (signal 6), as a program that runs out of memory; .log has its last messages".to_owned(),
+        Some(9) => "killed by signal 9; unless it was sent by hand, the machine was out of memory"
+            .to_owned(),
+        Some(6) => {
+            "aborted (signal 6), as a program that runs out of memory; .log has its last messages"
+                .to_owned()
+        }
         Some(signal) => format!("ended by signal {signal}"),
         None => format!("ended without a message ({status})"),
     }
@@ -158,7 +172,10 @@ mod tests {
         assert_eq!((ended.code, ended.reason.as_str()), (Some(65), "no frames"));
         assert!(!ended.asked);
         let ended = shell("kill -9 $$");
-        assert!(ended.code.is_none() && ended.reason.contains("signal 9"), "{ended:?}");
+        assert!(
+            ended.code.is_none() && ended.reason.contains("signal 9"),
+            "{ended:?}"
+        );
     }
 
     #[test]

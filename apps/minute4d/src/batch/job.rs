@@ -1,8 +1,9 @@
 //! Runs one job, and publishes or records its result.
 //!
-//! A machine's fault is never charged to the clip. Only one end of a run is a permanent failure: its exit code says that the
-//! input is bad, nothing of an earlier attempt was used, and the input still has the bytes that were planned. Everything else
-//! may succeed on another machine or later, so the job may be started again.
+//! A machine's fault is never charged to the clip. Only one end of a run is a permanent failure:
+//! its exit code says that the input is bad, nothing of an earlier attempt was used, and the input
+//! still has the bytes that were planned. Everything else may succeed on another machine or later,
+//! so the job may be started again.
 
 use crate::batch::child::{self, Ended};
 use crate::batch::layout::{JobRecord, Layout, Outcome};
@@ -64,8 +65,8 @@ pub fn index_of_environment(get: impl Fn(&str) -> Option<String>) -> Result<Opti
     Ok(None)
 }
 
-/// Runs a job, unless it is done or failed permanently; `retry_failed` runs it in that case, too. It continues where an interrupted run
-/// of it stopped.
+/// Runs a job, unless it is done or failed permanently; `retry_failed` runs it in that case, too.
+/// It continues where an interrupted run of it stopped.
 ///
 /// # Errors
 ///
@@ -93,9 +94,11 @@ pub fn run_job(
     // Before anything is written: where disks are not mounted, their folders must stay empty.
     let states = attempt.layout.states();
     if !states.is_dir() {
-        let message =
-            "the folder of results is not mounted here, or was removed; `minute4d batch plan --force` makes it again";
-        return Ok(again(&format!("there is no {}: {message}", states.display())));
+        let message = "the folder of results is not mounted here, or was removed; `minute4d batch plan --force` makes it again";
+        return Ok(again(&format!(
+            "there is no {}: {message}",
+            states.display()
+        )));
     }
     if let Some(end) = attempt.ended_before(retry_failed)? {
         return Ok(end);
@@ -104,10 +107,13 @@ pub fn run_job(
         return Ok(again(&reason));
     }
     let lock = attempt.layout.lock(&job.id);
-    let Some(_lock) =
-        lock_file(&lock).and_then(|file| Ok(wait_for(&file, watch)?.then_some(file))).map_err(Error::write(&lock))?
+    let Some(_lock) = lock_file(&lock)
+        .and_then(|file| Ok(wait_for(&file, watch)?.then_some(file)))
+        .map_err(Error::write(&lock))?
     else {
-        return Ok(again("another process runs this job, or this one was asked to stop"));
+        return Ok(again(
+            "another process runs this job, or this one was asked to stop",
+        ));
     };
     if let Some(end) = attempt.ended_before(retry_failed)? {
         return Ok(end);
@@ -128,7 +134,8 @@ pub fn run_job(
         host: tools.host.clone(),
     };
     match write_json(&attempt.layout.state(&job.id), &record) {
-        // A failure that is not recorded would be run again and again; the others are known without.
+        // A failure that is not recorded would be run again and again; the others are known
+        // without.
         Err(error) if end.outcome == Outcome::Failed => Err(error),
         _ => Ok(end),
     }
@@ -136,7 +143,11 @@ pub fn run_job(
 
 /// An end after which the job may be tried again.
 fn again(reason: &str) -> JobEnd {
-    JobEnd { outcome: Outcome::Retryable, reason: reason.to_owned(), seconds: None }
+    JobEnd {
+        outcome: Outcome::Retryable,
+        reason: reason.to_owned(),
+        seconds: None,
+    }
 }
 
 struct Attempt<'a> {
@@ -151,7 +162,13 @@ struct Attempt<'a> {
 impl Attempt<'_> {
     /// What is known of a job that need not be run.
     fn ended_before(&self, retry_failed: bool) -> Result<Option<JobEnd>, Error> {
-        let end = |outcome, reason| Some(JobEnd { outcome, reason, seconds: None });
+        let end = |outcome, reason| {
+            Some(JobEnd {
+                outcome,
+                reason,
+                seconds: None,
+            })
+        };
         if present(&self.layout.result(&self.job.id), &self.key)? == Present::Same {
             return Ok(end(Outcome::Done, String::new()));
         }
@@ -168,16 +185,28 @@ impl Attempt<'_> {
         }
         recover(&self.layout, id)?;
         if !free(&work, self.watch).map_err(Error::write(&work))? {
-            let message = format!("another run is using {}, or this one was asked to stop", work.display());
+            let message = format!(
+                "another run is using {}, or this one was asked to stop",
+                work.display()
+            );
             return Ok((again(&message), None));
         }
         let mut fresh = !work.exists();
         loop {
-            let Ended { code, reason, asked } = self.run()?;
+            let Ended {
+                code,
+                reason,
+                asked,
+            } = self.run()?;
             let end = match code {
                 Some(0) => match publish(&self.layout, id, &self.key, &self.tools.host)? {
-                    Published::Yes => JobEnd { outcome: Outcome::Done, ..again("") },
-                    Published::Bad(message) => again(&format!("the result was not published: {message}")),
+                    Published::Yes => JobEnd {
+                        outcome: Outcome::Done,
+                        ..again("")
+                    },
+                    Published::Bad(message) => {
+                        again(&format!("the result was not published: {message}"))
+                    }
                     Published::NotOurs => again(&self.in_the_way()),
                 },
                 _ if asked => again("it was asked to stop"),
@@ -188,7 +217,10 @@ impl Attempt<'_> {
                     continue;
                 }
                 Some(BAD_INPUT) => match self.check_input() {
-                    Ok(()) => JobEnd { outcome: Outcome::Failed, ..again(&reason) },
+                    Ok(()) => JobEnd {
+                        outcome: Outcome::Failed,
+                        ..again(&reason)
+                    },
                     Err(changed) => again(&format!("{changed}, and {reason}")),
                 },
                 _ => again(&reason),
@@ -228,15 +260,15 @@ impl Attempt<'_> {
         not_ours(&self.layout.result(&self.job.id)).to_string()
     }
 
-    /// The input must be what was planned: results are kept under its hash. What is missing here, or is another, is so on this
-    /// machine: its disks may not be mounted.
+    /// The input must be what was planned: results are kept under its hash. What is missing here,
+    /// or is another, is so on this machine: its disks may not be mounted.
     fn check_input(&self) -> Result<(), String> {
         let input = &self.job.input;
         match hash::of_input(Path::new(input), None, self.watch) {
             Err(error) => Err(error.to_string()),
-            Ok(found) if found != self.job.blake3 => {
-                Err(format!("{input} is not what was planned; if it changed, plan again"))
-            }
+            Ok(found) if found != self.job.blake3 => Err(format!(
+                "{input} is not what was planned; if it changed, plan again"
+            )),
             Ok(_) => Ok(()),
         }
     }
@@ -244,7 +276,11 @@ impl Attempt<'_> {
 
 fn lock_file(path: &Path) -> io::Result<File> {
     make_parent(path)?;
-    OpenOptions::new().create(true).truncate(false).write(true).open(path)
+    OpenOptions::new()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(path)
 }
 
 fn open_log(path: &Path) -> io::Result<File> {
@@ -256,8 +292,9 @@ fn make_parent(path: &Path) -> io::Result<()> {
     path.parent().map_or(Ok(()), fs::create_dir_all)
 }
 
-/// Locks a file as soon as no other process holds it; false where that takes too long. File systems without locks go without: there two
-/// processes with one job hinder each other, and still publish whole results alone.
+/// Locks a file as soon as no other process holds it; false where that takes too long. File systems
+/// without locks go without: there two processes with one job hinder each other, and still publish
+/// whole results alone.
 fn wait_for(file: &File, watch: &dyn Progress) -> io::Result<bool> {
     let start = Instant::now();
     while let Err(TryLockError::WouldBlock) = file.try_lock() {
@@ -269,8 +306,8 @@ fn wait_for(file: &File, watch: &dyn Progress) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Waits until no run has the working folder, and clears away one that no run can resume: killed before it wrote
-/// what it is. False where it is not available.
+/// Waits until no run has the working folder, and clears away one that no run can resume: killed
+/// before it wrote what it is. False where it is not available.
 fn free(work: &Path, watch: &dyn Progress) -> io::Result<bool> {
     let folder = match File::open(work) {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(true),
@@ -279,7 +316,9 @@ fn free(work: &Path, watch: &dyn Progress) -> io::Result<bool> {
     if !wait_for(&folder, watch)? {
         return Ok(false);
     }
-    let is_record = |text: Vec<u8>| serde_json::from_slice::<Value>(&text).is_ok_and(|v| v["format"].is_string());
+    let is_record = |text: Vec<u8>| {
+        serde_json::from_slice::<Value>(&text).is_ok_and(|v| v["format"].is_string())
+    };
     if !files::read(&work.join(RUN_FILE), MAX_RECORD_BYTES).is_ok_and(is_record) {
         fs::remove_dir_all(work)?;
     }

@@ -1,5 +1,5 @@
-//! The folder of results: names of jobs, which are safe as folder names on any system, where everything of a job lies, and the record
-//! of its outcome, `.state/ID.json`.
+//! The folder of results: names of jobs, which are safe as folder names on any system, where
+//! everything of a job lies, and the record of its outcome, `.state/ID.json`.
 
 use crate::batch::manifest::VERSION;
 use minute4d::Error;
@@ -47,7 +47,8 @@ impl Layout {
         self.root.join(".lock").join(id)
     }
 
-    /// The folder of what came of the clips: it is made when a batch is planned, so that it is known whether the results are mounted.
+    /// The folder of what came of the clips: it is made when a batch is planned, so that it is
+    /// known whether the results are mounted.
     pub(crate) fn states(&self) -> PathBuf {
         self.root.join(".state")
     }
@@ -81,8 +82,9 @@ const HASH_CHARS: usize = 8;
 /// Names that Windows keeps for devices.
 const DEVICES: [&str; 4] = ["con", "prn", "aux", "nul"];
 
-/// Gives each input `(name, path)` an id. Those whose names fall together, also where case does not count, get a
-/// piece of the hash of their path, so that no id depends on which other clips are listed later or earlier.
+/// Gives each input `(name, path)` an id. Those whose names fall together, also where case does not
+/// count, get a piece of the hash of their path, so that no id depends on which other clips are
+/// listed later or earlier.
 pub(crate) fn ids(inputs: &[(String, String)]) -> Vec<String> {
     let plain: Vec<String> = inputs.iter().map(|(name, _)| safe(name)).collect();
     let mut count: HashMap<String, usize> = HashMap::new();
@@ -92,18 +94,30 @@ pub(crate) fn ids(inputs: &[(String, String)]) -> Vec<String> {
     let mut given = Vec::with_capacity(plain.len());
     for (name, (_, path)) in plain.into_iter().zip(inputs) {
         let alone = count.get(&name.to_lowercase()).is_some_and(|&n| n == 1);
-        given.push(if alone { name } else { format!("{name}-{}", short_hash(path)) });
+        given.push(if alone {
+            name
+        } else {
+            format!("{name}-{}", short_hash(path))
+        });
     }
     given
 }
 
 fn short_hash(text: &str) -> String {
-    blake3::hash(text.as_bytes()).to_hex().chars().take(HASH_CHARS).collect()
+    blake3::hash(text.as_bytes())
+        .to_hex()
+        .chars()
+        .take(HASH_CHARS)
+        .collect()
 }
 
 fn safe(name: &str) -> String {
     let kept = |c: char| {
-        if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '_' }
+        if c.is_ascii_alphanumeric() || "._-".contains(c) {
+            c
+        } else {
+            '_'
+        }
     };
     let text: String = name.chars().map(kept).take(LONGEST).collect();
     let text = text.trim_start_matches(['.', '-']).trim_end_matches('.');
@@ -119,7 +133,9 @@ pub(crate) fn is_safe(id: &str) -> bool {
     !id.is_empty()
         && id.len() <= LONGEST + HASH_CHARS + 1
         && !id.starts_with(['.', '-'])
-        && id.chars().all(|c| c.is_ascii_alphanumeric() || "._-".contains(c))
+        && id
+            .chars()
+            .all(|c| c.is_ascii_alphanumeric() || "._-".contains(c))
 }
 
 /// The outcome of a job.
@@ -128,9 +144,11 @@ pub(crate) fn is_safe(id: &str) -> bool {
 pub enum Outcome {
     /// The result is published.
     Done,
-    /// A permanent failure, for which the clip's own bytes are the evidence: it is not run again unless forced.
+    /// A permanent failure, for which the clip's own bytes are the evidence: it is not run again
+    /// unless forced.
     Failed,
-    /// The machine could not do it, or it was stopped: a note only, which does not prevent another run.
+    /// The machine could not do it, or it was stopped: a note only, which does not prevent another
+    /// run.
     Retryable,
 }
 
@@ -156,7 +174,8 @@ pub struct JobRecord {
 }
 
 impl JobRecord {
-    /// The record, if there is one that this release can use and that is of this input and these settings.
+    /// The record, if there is one that this release can use and that is of this input and these
+    /// settings.
     pub(crate) fn read(path: &Path, key: &str) -> Result<Option<Self>, Error> {
         Ok(read_json::<Self>(path)?.filter(|r| r.version == VERSION && r.key == key))
     }
@@ -169,18 +188,38 @@ mod tests {
     #[test]
     fn ids_are_safe_unique_and_do_not_depend_on_the_order() {
         let given = |names: &[(&str, &str)]| {
-            let owned: Vec<_> = names.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
+            let owned: Vec<_> = names
+                .iter()
+                .map(|(a, b)| ((*a).to_owned(), (*b).to_owned()))
+                .collect();
             ids(&owned)
         };
-        let odd = given(&[("../../etc", "1"), ("a b\nc", "2"), ("ü", "3"), ("con", "4"), ("...", "5"), ("x", "6")]);
+        let odd = given(&[
+            ("../../etc", "1"),
+            ("a b\nc", "2"),
+            ("ü", "3"),
+            ("con", "4"),
+            ("...", "5"),
+            ("x", "6"),
+        ]);
         assert_eq!(odd, ["_.._etc", "a_b_c", "_", "con_", "clip", "x"]);
         let long = "l".repeat(500);
-        let clash = given(&[("Clip", "/a/Clip.mp4"), ("clip", "/b/clip.mp4"), (&long, "l")]);
-        assert!(clash[0].starts_with("Clip-") && clash[1].starts_with("clip-"), "{clash:?}");
+        let clash = given(&[
+            ("Clip", "/a/Clip.mp4"),
+            ("clip", "/b/clip.mp4"),
+            (&long, "l"),
+        ]);
+        assert!(
+            clash[0].starts_with("Clip-") && clash[1].starts_with("clip-"),
+            "{clash:?}"
+        );
         assert_ne!(clash[0].to_lowercase(), clash[1].to_lowercase());
         let turned = given(&[("clip", "/b/clip.mp4"), ("Clip", "/a/Clip.mp4")]);
         assert_eq!((&turned[0], &turned[1]), (&clash[1], &clash[0]));
-        assert!(odd.iter().chain(&clash).all(|id| is_safe(id)), "{odd:?} {clash:?}");
+        assert!(
+            odd.iter().chain(&clash).all(|id| is_safe(id)),
+            "{odd:?} {clash:?}"
+        );
         for bad in ["", "..", ".hidden", "a/b", "-rf", "a\\b", "ä"] {
             assert!(!is_safe(bad), "{bad}");
         }

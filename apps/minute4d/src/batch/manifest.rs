@@ -15,8 +15,8 @@ pub const VERSION: u32 = 1;
 /// Largest manifest that is read, bytes: over a million jobs.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// What every run of a batch is started with. It is kept as text, so that nothing that is edited later changes a
-/// job.
+/// What every run of a batch is started with. It is kept as text, so that nothing that is edited
+/// later changes a job.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Arguments {
     /// Every setting, as TOML: what `--config` of a run is given.
@@ -28,7 +28,9 @@ pub struct Arguments {
 impl Arguments {
     /// BLAKE3 of settings and arguments, hexadecimal.
     pub fn blake3(&self) -> String {
-        let parts = std::iter::once(&self.settings).chain(&self.arguments).map(String::as_str);
+        let parts = std::iter::once(&self.settings)
+            .chain(&self.arguments)
+            .map(String::as_str);
         hash::of_parts(&parts.collect::<Vec<_>>())
     }
 }
@@ -85,7 +87,8 @@ impl Manifest {
     ///
     /// # Errors
     ///
-    /// [`Error::Refused`] where there is one and not `force`; [`Error::Write`] where it cannot be written.
+    /// [`Error::Refused`] where there is one and not `force`; [`Error::Write`] where it cannot be
+    /// written.
     pub fn write(&self, path: &Path, force: bool) -> Result<(), Error> {
         if !force && fs::symlink_metadata(path).is_ok() {
             let message = format!("{} already exists; --force replaces it", path.display());
@@ -103,7 +106,12 @@ impl Manifest {
         let mut lines = vec![serde_json::to_string(&header)];
         lines.extend(self.jobs.iter().map(serde_json::to_string));
         let lines: Result<Vec<String>, _> = lines.into_iter().collect();
-        let text = lines.map_err(|e| Error::Internal { what: e.to_string() })?.join("\n") + "\n";
+        let text = lines
+            .map_err(|e| Error::Internal {
+                what: e.to_string(),
+            })?
+            .join("\n")
+            + "\n";
         atomic::write(path, text.as_bytes()).map_err(Error::write(path))
     }
 
@@ -111,12 +119,16 @@ impl Manifest {
     ///
     /// # Errors
     ///
-    /// [`Error::Read`]; [`Error::Refused`] for a file that is no manifest, or a damaged one, with the line.
+    /// [`Error::Read`]; [`Error::Refused`] for a file that is no manifest, or a damaged one, with
+    /// the line.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = files::read(path, MAX_BYTES).map_err(Error::read(path))?;
         Self::parse(&text).map_err(|reason| {
             let path = path.display();
-            Refusal::bad_input(format!("{path}: {reason}; create the manifest again with `minute4d batch plan`")).into()
+            Refusal::bad_input(format!(
+                "{path}: {reason}; create the manifest again with `minute4d batch plan`"
+            ))
+            .into()
         })
     }
 
@@ -124,11 +136,13 @@ impl Manifest {
         let text = std::str::from_utf8(bytes).map_err(|e| format!("it is not text ({e})"))?;
         let mut lines = text.lines().enumerate();
         let first = lines.next().map_or("", |(_, line)| line);
-        let header: Header =
-            serde_json::from_str(first).map_err(|e| format!("line 1 is not the first line of a manifest ({e})"))?;
+        let header: Header = serde_json::from_str(first)
+            .map_err(|e| format!("line 1 is not the first line of a manifest ({e})"))?;
         if header.format != FORMAT || header.version != VERSION {
             let found = format!("{} {}", header.format, header.version);
-            return Err(format!("line 1 is of {found:?}, and {FORMAT} {VERSION} is read here"));
+            return Err(format!(
+                "line 1 is of {found:?}, and {FORMAT} {VERSION} is read here"
+            ));
         }
         if header.run.blake3() != header.settings_blake3 {
             return Err("line 1: settings or arguments were changed by hand".to_owned());
@@ -136,19 +150,34 @@ impl Manifest {
         let (mut jobs, mut seen) = (Vec::new(), HashSet::new());
         for (i, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let line_number = i + 1;
-            let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is not a job ({e})"))?;
+            let job: Job = serde_json::from_str(line)
+                .map_err(|e| format!("line {line_number} is not a job ({e})"))?;
             if !layout::is_safe(&job.id) {
-                return Err(format!("line {line_number}: the id {:?} cannot be the name of a folder", job.id));
+                return Err(format!(
+                    "line {line_number}: the id {:?} cannot be the name of a folder",
+                    job.id
+                ));
             }
             if !seen.insert(job.id.to_lowercase()) {
-                return Err(format!("line {line_number}: the id {:?} was given before", job.id));
+                return Err(format!(
+                    "line {line_number}: the id {:?} was given before",
+                    job.id
+                ));
             }
             jobs.push(job);
         }
         if jobs.len() != header.jobs {
-            return Err(format!("it lists {} jobs and should list {}", jobs.len(), header.jobs));
+            return Err(format!(
+                "it lists {} jobs and should list {}",
+                jobs.len(),
+                header.jobs
+            ));
         }
-        Ok(Self { results: header.results, run: header.run, jobs })
+        Ok(Self {
+            results: header.results,
+            run: header.run,
+            jobs,
+        })
     }
 }
 
@@ -188,7 +217,10 @@ mod tests {
             (text.replace("\"id\":\"b\"", "\"id\":\"../b\""), "line 3"),
             (text.replace("\"id\":\"b\"", "\"id\":\"A\""), "given before"),
             (text.replace("\"id\":\"a\"", "\"id\":-7"), "line 2"),
-            (text.replace("\"blake3\":\"00\",", ""), "missing field `blake3`"),
+            (
+                text.replace("\"blake3\":\"00\",", ""),
+                "missing field `blake3`",
+            ),
             (cut.to_owned(), "lists 1 jobs and should list 2"),
         ];
         for (text, words) in cases {
@@ -202,9 +234,23 @@ mod tests {
     fn the_key_follows_input_and_settings() {
         let one = manifest();
         let key = one.jobs[0].key(&one.run);
-        assert_eq!(key, one.jobs[1].key(&one.run), "the same bytes, whatever the name");
-        let other = Arguments { arguments: vec!["--device".to_owned(), "gpu".to_owned()], ..one.run.clone() };
+        assert_eq!(
+            key,
+            one.jobs[1].key(&one.run),
+            "the same bytes, whatever the name"
+        );
+        let other = Arguments {
+            arguments: vec!["--device".to_owned(), "gpu".to_owned()],
+            ..one.run.clone()
+        };
         assert_ne!(key, one.jobs[0].key(&other));
-        assert_ne!(key, Job { blake3: "01".to_owned(), ..one.jobs[0].clone() }.key(&one.run));
+        assert_ne!(
+            key,
+            Job {
+                blake3: "01".to_owned(),
+                ..one.jobs[0].clone()
+            }
+            .key(&one.run)
+        );
     }
 }

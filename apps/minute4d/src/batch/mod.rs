@@ -1,8 +1,10 @@
 //! Batches of clips: planning, running one job, and reporting the results.
 //!
-//! A [`Manifest`] lists the clips and holds the settings. A scheduler starts one process a job ([`run_job`]): it has a child process
-//! make the scene in a working folder, and publishes the whole result by one rename. Which machine does what, and what is started
-//! again, is the scheduler's business; [`slurm`] submits to one. All that is known afterwards ([`Report`]) is read from the results.
+//! A [`Manifest`] lists the clips and holds the settings. A scheduler starts one process a job
+//! ([`run_job`]): it has a child process make the scene in a working folder, and publishes the
+//! whole result by one rename. Which machine does what, and what is started again, is the
+//! scheduler's business; [`slurm`] submits to one. All that is known afterwards ([`Report`]) is
+//! read from the results.
 
 mod child;
 mod job;

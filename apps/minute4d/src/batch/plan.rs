@@ -44,29 +44,48 @@ pub fn plan(plan: &Plan<'_>, watch: &dyn Progress) -> Result<Manifest, Error> {
     }
     let mut jobs = Vec::with_capacity(named.len());
     for (((_, input), id), path) in named.into_iter().zip(ids).zip(paths) {
-        jobs.push(Job { output: text(&layout.result(&id))?, id, input, blake3: hash::of_input(&path, None, watch)? });
+        jobs.push(Job {
+            output: text(&layout.result(&id))?,
+            id,
+            input,
+            blake3: hash::of_input(&path, None, watch)?,
+        });
     }
     jobs.sort_by(|a, b| a.id.cmp(&b.id));
     let states = layout.states();
     fs::create_dir_all(&states).map_err(Error::write(&states))?;
-    Ok(Manifest { results: text(plan.results)?, run: plan.run.clone(), jobs })
+    Ok(Manifest {
+        results: text(plan.results)?,
+        run: plan.run.clone(),
+        jobs,
+    })
 }
 
 fn text(path: &Path) -> Result<String, Refusal> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
-        Refusal::bad_input(format!("{} is not UTF-8, which a manifest cannot hold; rename it", path.display()))
+        Refusal::bad_input(format!(
+            "{} is not UTF-8, which a manifest cannot hold; rename it",
+            path.display()
+        ))
     })
 }
 
 /// The name of a clip: that of its file without the extension, or of its folder.
 fn name(path: &Path) -> String {
-    let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
+    let name = if path.is_dir() {
+        path.file_name()
+    } else {
+        path.file_stem()
+    };
     name.map_or_else(String::new, |n| n.to_string_lossy().into_owned())
 }
 
-/// Extensions of files in folders that are taken for videos; a file that is named itself may have any.
-const VIDEOS: [&str; 15] =
-    ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv"];
+/// Extensions of files in folders that are taken for videos; a file that is named itself may have
+/// any.
+const VIDEOS: [&str; 15] = [
+    "mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv",
+    "flv", "ogv",
+];
 /// Extensions of images: a folder of these is a clip.
 const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
@@ -86,7 +105,11 @@ pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, 
 }
 
 fn nothing(given: &str, recursive: bool) -> Refusal {
-    let hint = if recursive { "" } else { "; --recursive looks into folders in it" };
+    let hint = if recursive {
+        ""
+    } else {
+        "; --recursive looks into folders in it"
+    };
     Refusal::bad_input(format!("{given} holds no video{hint}"))
 }
 
@@ -117,7 +140,9 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, Error> {
     let (mut videos, mut folders, mut images) = (Vec::new(), Vec::new(), false);
     for entry in fs::read_dir(folder).map_err(Error::read(folder))? {
         let path = entry.map_err(Error::read(folder))?.path();
-        let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let name = path
+            .file_name()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         if name.starts_with('.') {
             continue;
         }
@@ -131,7 +156,9 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, Error> {
             files::check(&path).map_err(Error::read(&path))?;
             videos.push(fs::canonicalize(&path).map_err(Error::read(&path))?);
         } else {
-            images |= extension.as_deref().is_some_and(|e| IMAGE_EXTENSIONS.contains(&e));
+            images |= extension
+                .as_deref()
+                .is_some_and(|e| IMAGE_EXTENSIONS.contains(&e));
         }
     }
     if videos.is_empty() && images {
@@ -161,22 +188,50 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let root = fs::canonicalize(dir.path()).unwrap();
         let at = |name: &str| root.join(name).to_str().unwrap().to_owned();
-        for name in
-            ["v/b.mp4", "v/a.MOV", "v/notes.txt", "v/.c.mp4", "v/in/d.mkv", "v/pics/1.png", "v/cap/transforms.json"]
-        {
+        for name in [
+            "v/b.mp4",
+            "v/a.MOV",
+            "v/notes.txt",
+            "v/.c.mp4",
+            "v/in/d.mkv",
+            "v/pics/1.png",
+            "v/cap/transforms.json",
+        ] {
             touch(&root.join(name));
         }
         let found = |given: &[String], recursive: bool| -> Vec<String> {
             let all = inputs(given, recursive).unwrap();
-            all.iter().map(|p| p.strip_prefix(&root).unwrap().display().to_string().replace('\\', "/")).collect()
+            all.iter()
+                .map(|p| {
+                    p.strip_prefix(&root)
+                        .unwrap()
+                        .display()
+                        .to_string()
+                        .replace('\\', "/")
+                })
+                .collect()
         };
         assert_eq!(found(&[at("v")], false), ["v/a.MOV", "v/b.mp4"]);
         let all = ["v/a.MOV", "v/b.mp4", "v/cap", "v/in/d.mkv", "v/pics"];
         assert_eq!(found(&[at("v")], true), all);
-        assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "images are a clip");
-        assert_eq!(found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false), ["v/b.mp4"]);
-        assert_eq!(found(&[at("v/notes.txt")], false), ["v/notes.txt"], "a named file is always a clip");
-        assert_eq!(found(&[at("v/b.mp4"), at("v/in")], false), ["v/b.mp4", "v/in/d.mkv"]);
+        assert_eq!(
+            found(&[at("v/pics")], false),
+            ["v/pics"],
+            "images are a clip"
+        );
+        assert_eq!(
+            found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false),
+            ["v/b.mp4"]
+        );
+        assert_eq!(
+            found(&[at("v/notes.txt")], false),
+            ["v/notes.txt"],
+            "a named file is always a clip"
+        );
+        assert_eq!(
+            found(&[at("v/b.mp4"), at("v/in")], false),
+            ["v/b.mp4", "v/in/d.mkv"]
+        );
 
         let message = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
         assert!(message(&at("none.mp4")).contains("there is no"));

@@ -1,8 +1,9 @@
 //! Publishes the result of a working folder: checked, complete, by one rename.
 //!
-//! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked, so that no process that still writes into
-//! the working folder can change what was checked. It appears under its final name by one rename. Of two processes that
-//! publish the same job one wins, and the other finds it done.
+//! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked,
+//! so that no process that still writes into the working folder can change what was checked. It
+//! appears under its final name by one rename. Of two processes that publish the same job one wins,
+//! and the other finds it done.
 
 use crate::batch::layout::{Layout, RESULT_FILE};
 use crate::batch::manifest::VERSION;
@@ -61,36 +62,53 @@ pub(crate) enum Present {
     NotOurs,
 }
 
-/// Checks the published result. File sizes are compared, not hashes: those were when it was published.
+/// Checks the published result. File sizes are compared, not hashes: those were when it was
+/// published.
 pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, Error> {
     if fs::symlink_metadata(folder).is_err_and(|e| e.kind() == ErrorKind::NotFound) {
         return Ok(Present::None);
     }
-    let Some(mark) = read_json::<ResultMark>(&folder.join(RESULT_FILE))?.filter(|m| m.format == FORMAT) else {
+    let Some(mark) =
+        read_json::<ResultMark>(&folder.join(RESULT_FILE))?.filter(|m| m.format == FORMAT)
+    else {
         return Ok(Present::NotOurs);
     };
     let same = mark.version == VERSION && mark.key == key;
-    Ok(if same && check(folder, false)?.is_ok() { Present::Same } else { Present::Other })
+    Ok(if same && check(folder, false)?.is_ok() {
+        Present::Same
+    } else {
+        Present::Other
+    })
 }
 
-/// Whether a folder holds a finished run whose files are as recorded; what is wrong, where something is.
+/// Whether a folder holds a finished run whose files are as recorded; what is wrong, where
+/// something is.
 fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, Error> {
-    let Some(run) = read_json::<Run>(&folder.join(RUN_FILE))?.filter(|r| r.format == RUN_FORMAT) else {
+    let Some(run) = read_json::<Run>(&folder.join(RUN_FILE))?.filter(|r| r.format == RUN_FORMAT)
+    else {
         return Ok(Err(format!("it has no {RUN_FILE} that can be used")));
     };
     if run.status != Status::Finished || run.files.is_empty() {
         let count = run.files.len();
-        return Ok(Err(format!("its {RUN_FILE} says {:?}, with {count} files", run.status)));
+        return Ok(Err(format!(
+            "its {RUN_FILE} says {:?}, with {count} files",
+            run.status
+        )));
     }
     for (name, file) in &run.files {
         let path = folder.join(name);
         let found = match fs::metadata(&path) {
             Ok(found) => found.len(),
-            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(Err(format!("{name} is missing"))),
+            Err(e) if e.kind() == ErrorKind::NotFound => {
+                return Ok(Err(format!("{name} is missing")));
+            }
             Err(source) => return Err(Error::Read { path, source }),
         };
         if found != file.bytes {
-            return Ok(Err(format!("{name} has {found} bytes and should have {}", file.bytes)));
+            return Ok(Err(format!(
+                "{name} has {found} bytes and should have {}",
+                file.bytes
+            )));
         }
         if hashes && hash::of_path(&path)? != file.blake3 {
             return Ok(Err(format!("{name} is not as it was written")));
@@ -99,8 +117,14 @@ fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, Error> {
     Ok(Ok(()))
 }
 
-/// Publishes the finished run in the working folder as the result of a job, instead of an older one.
-pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Result<Published, Error> {
+/// Publishes the finished run in the working folder as the result of a job, instead of an older
+/// one.
+pub(crate) fn publish(
+    layout: &Layout,
+    id: &str,
+    key: &str,
+    host: &str,
+) -> Result<Published, Error> {
     let (work, target) = (layout.work(id), layout.result(id));
     match present(&target, key)? {
         Present::NotOurs => return Ok(Published::NotOurs),
@@ -164,7 +188,8 @@ fn swap(layout: &Layout, id: &str, key: &str, nonce: &str) -> Result<(), Error> 
     Ok(())
 }
 
-/// Clears up after a process that was killed while it published: a whole result is the working folder again.
+/// Clears up after a process that was killed while it published: a whole result is the working
+/// folder again.
 pub(crate) fn recover(layout: &Layout, id: &str) -> Result<(), Error> {
     remove(&layout.outgoing(id))?;
     let (folder, work) = (layout.incoming(id), layout.work(id));
@@ -194,7 +219,11 @@ fn bring(from: &Path, to: &Path) -> io::Result<()> {
 
 fn nonce(host: &str) -> String {
     let text = format!("{host} {} {:?}", std::process::id(), SystemTime::now());
-    blake3::hash(text.as_bytes()).to_hex().chars().take(16).collect()
+    blake3::hash(text.as_bytes())
+        .to_hex()
+        .chars()
+        .take(16)
+        .collect()
 }
 
 pub(crate) fn remove(folder: &Path) -> Result<(), Error> {
@@ -217,7 +246,10 @@ fn remove_temporary(folder: &Path) -> io::Result<()> {
         let name = entry.file_name();
         if entry.file_type()?.is_dir() {
             remove_temporary(&entry.path())?;
-        } else if name.to_str().is_some_and(|n| n.starts_with('.') && n.contains(".tmp-")) {
+        } else if name
+            .to_str()
+            .is_some_and(|n| n.starts_with('.') && n.contains(".tmp-"))
+        {
             fs::remove_file(entry.path())?;
         }
     }
@@ -250,7 +282,9 @@ mod tests {
     }
 
     fn is_calm(root: &Path) -> bool {
-        [".incoming", ".outgoing"].iter().all(|left| fs::read_dir(root.join(left)).map_or(0, Iterator::count) == 0)
+        [".incoming", ".outgoing"]
+            .iter()
+            .all(|left| fs::read_dir(root.join(left)).map_or(0, Iterator::count) == 0)
     }
 
     #[test]
@@ -264,7 +298,9 @@ mod tests {
             assert_eq!(publish(&layout, "a", key, "here").unwrap(), Published::Yes);
             assert_eq!(read(&target), scene);
             assert!(target.join("capture/transforms_train.json").is_file());
-            assert!(!target.join(".scene.safetensors.tmp-1").exists() && !layout.work("a").exists());
+            assert!(
+                !target.join(".scene.safetensors.tmp-1").exists() && !layout.work("a").exists()
+            );
             assert_eq!(present(&target, key).unwrap(), Present::Same);
             assert_eq!(present(&target, "k3").unwrap(), Present::Other);
         }
@@ -283,22 +319,37 @@ mod tests {
             write_run(&work, "scene", "finished");
             spoil();
             let got = publish(&layout, "a", "k", "here").unwrap();
-            assert!(matches!(&got, Published::Bad(message) if message.contains(words)), "{words}: {got:?}");
+            assert!(
+                matches!(&got, Published::Bad(message) if message.contains(words)),
+                "{words}: {got:?}"
+            );
             assert!(!layout.result("a").exists() && !work.exists() && is_calm(dir.path()));
         };
         bad(&|| write_run(&work, "scene", "stopped"), "Stopped");
         let same_size = || {
             fs::write(work.join("scene.safetensors"), "scenE").unwrap();
-            assert!(check(&work, false).unwrap().is_ok(), "sizes alone do not tell");
+            assert!(
+                check(&work, false).unwrap().is_ok(),
+                "sizes alone do not tell"
+            );
         };
         bad(&same_size, "not as it was written");
-        bad(&|| fs::remove_file(work.join("scene.safetensors")).unwrap(), "missing");
-        bad(&|| fs::write(work.join("run.json"), "{").unwrap(), "run.json");
+        bad(
+            &|| fs::remove_file(work.join("scene.safetensors")).unwrap(),
+            "missing",
+        );
+        bad(
+            &|| fs::write(work.join("run.json"), "{").unwrap(),
+            "run.json",
+        );
 
         write_run(&work, "scene", "finished");
         fs::create_dir(layout.result("a")).unwrap();
         fs::write(layout.result("a").join("thesis.tex"), "mine").unwrap();
-        assert_eq!(publish(&layout, "a", "k", "here").unwrap(), Published::NotOurs);
+        assert_eq!(
+            publish(&layout, "a", "k", "here").unwrap(),
+            Published::NotOurs
+        );
         assert!(layout.result("a").join("thesis.tex").is_file());
     }
 
@@ -317,7 +368,11 @@ mod tests {
                 bring(&target, &layout.outgoing("a").join("killed")).unwrap();
             }
             let wanted = if moved { Present::None } else { Present::Other };
-            assert_eq!(present(&target, "k").unwrap(), wanted, "never a part of one");
+            assert_eq!(
+                present(&target, "k").unwrap(),
+                wanted,
+                "never a part of one"
+            );
             recover(&layout, "a").unwrap();
             assert!(work.is_dir());
             assert_eq!(publish(&layout, "a", "k", "here").unwrap(), Published::Yes);
@@ -359,7 +414,11 @@ mod tests {
             // Who is overtaken may also fail, and finds it done when it tries again.
             assert!(ends.contains(&true), "round {round}");
             let target = layout.result(&id);
-            assert_eq!(present(&target, "k").unwrap(), Present::Same, "round {round}");
+            assert_eq!(
+                present(&target, "k").unwrap(),
+                Present::Same,
+                "round {round}"
+            );
             assert!(check(&target, true).unwrap().is_ok());
         }
     }

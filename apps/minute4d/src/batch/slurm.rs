@@ -31,10 +31,13 @@ pub struct Script<'a> {
 }
 
 impl Script<'_> {
-    /// The arrays that all jobs take, one task a job: the first job of each, and its indices as Slurm writes them.
+    /// The arrays that all jobs take, one task a job: the first job of each, and its indices as
+    /// Slurm writes them.
     pub fn arrays(&self) -> Vec<(usize, String)> {
         let largest = self.largest.max(1);
-        let parallel = self.max_parallel.map_or_else(String::new, |n| format!("%{n}"));
+        let parallel = self
+            .max_parallel
+            .map_or_else(String::new, |n| format!("%{n}"));
         let array = |first: usize| {
             let last = largest.min(self.jobs - first) - 1;
             (first, format!("0-{last}{parallel}"))
@@ -54,21 +57,34 @@ impl Script<'_> {
             "--open-mode=append".to_owned(),
             format!("--output={}/%A_%a.log", utf8(self.logs)?),
         ];
-        directives.extend(self.arrays().first().map(|(_, tasks)| format!("--array={tasks}")));
+        directives.extend(
+            self.arrays()
+                .first()
+                .map(|(_, tasks)| format!("--array={tasks}")),
+        );
         directives.extend_from_slice(self.options);
         for directive in &directives {
             text += &format!("#SBATCH {}\n", directive_text(directive)?);
         }
-        let job = [utf8(self.program)?, "batch", "run", "--manifest", utf8(self.manifest)?];
+        let job = [
+            utf8(self.program)?,
+            "batch",
+            "run",
+            "--manifest",
+            utf8(self.manifest)?,
+        ];
         let job: Vec<String> = job.into_iter().map(shell).collect::<Result<_, _>>()?;
-        text += &BODY.replace("@JOB@", &job.join(" ")).replace("@RESTARTS@", &RESTARTS.to_string());
+        text += &BODY
+            .replace("@JOB@", &job.join(" "))
+            .replace("@RESTARTS@", &RESTARTS.to_string());
         Ok(text)
     }
 }
 
-/// `wait` returns early when the signal comes, so it is asked again until it tells the job's own code. The task is
-/// named by array and index: the last of an array has the number of the whole. 75 is what should be tried again, 137 what was
-/// killed, as where memory ran out. A task that was cancelled is not put back.
+/// `wait` returns early when the signal comes, so it is asked again until it tells the job's own
+/// code. The task is named by array and index: the last of an array has the number of the whole. 75
+/// is what should be tried again, 137 what was killed, as where memory ran out. A task that was
+/// cancelled is not put back.
 const BODY: &str = r#"
 set -u
 job= told= again=
@@ -112,20 +128,31 @@ fn unusable(text: impl fmt::Debug, reason: &str) -> Refusal {
 
 /// The error for a program of Slurm that refused.
 fn refused(program: &str, message: &str, script: &Path) -> Refusal {
-    let message = format!("{program} refused: {message}; the script is {}", script.display());
+    let message = format!(
+        "{program} refused: {message}; the script is {}",
+        script.display()
+    );
     Refusal::new(Category::Io, message)
 }
 
 fn utf8(path: &Path) -> Result<&str, Refusal> {
-    path.to_str().ok_or_else(|| unusable(path, "it is not UTF-8"))
+    path.to_str()
+        .ok_or_else(|| unusable(path, "it is not UTF-8"))
 }
 
 /// A word of a directive, in quotes where it needs them.
 fn directive_text(text: &str) -> Result<String, Refusal> {
     if text.contains(['\n', '\r', '"', '\\']) {
-        return Err(unusable(text, "a line of #SBATCH cannot hold quotes, backslashes or a line end"));
+        return Err(unusable(
+            text,
+            "a line of #SBATCH cannot hold quotes, backslashes or a line end",
+        ));
     }
-    Ok(if text.contains([' ', '\t', '#']) { format!("\"{text}\"") } else { text.to_owned() })
+    Ok(if text.contains([' ', '\t', '#']) {
+        format!("\"{text}\"")
+    } else {
+        text.to_owned()
+    })
 }
 
 /// A word that the shell takes as it is.
@@ -147,17 +174,30 @@ const DEFAULT_ARRAY: usize = 1001;
 /// Returns the maximum number of tasks of an array: Slurm's setting, or its default.
 pub fn largest_array() -> usize {
     let told = Command::new("scontrol").args(["show", "config"]).output();
-    let text = told.ok().filter(|o| o.status.success()).and_then(|o| String::from_utf8(o.stdout).ok());
-    text.as_deref().and_then(max_array_size).unwrap_or(DEFAULT_ARRAY)
+    let text = told
+        .ok()
+        .filter(|o| o.status.success())
+        .and_then(|o| String::from_utf8(o.stdout).ok());
+    text.as_deref()
+        .and_then(max_array_size)
+        .unwrap_or(DEFAULT_ARRAY)
 }
 
 /// `MaxArraySize`, which is one more than the highest index: as many tasks as it says fit.
 fn max_array_size(config: &str) -> Option<usize> {
-    let line = config.lines().find_map(|l| l.trim().strip_prefix("MaxArraySize"))?;
-    line.trim_start().strip_prefix('=')?.trim().parse().ok().filter(|&n| n > 0)
+    let line = config
+        .lines()
+        .find_map(|l| l.trim().strip_prefix("MaxArraySize"))?;
+    line.trim_start()
+        .strip_prefix('=')?
+        .trim()
+        .parse()
+        .ok()
+        .filter(|&n| n > 0)
 }
 
-/// Submits the script as the array `tasks` of the jobs from `first` on, asks Slurm for it again, and gives its number.
+/// Submits the script as the array `tasks` of the jobs from `first` on, asks Slurm for it again,
+/// and gives its number.
 pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, Refusal> {
     let (array, index) = (format!("--array={tasks}"), first.to_string());
     let mut arguments: Vec<&OsStr> = vec!["--parsable".as_ref()];
@@ -168,12 +208,21 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, Refusa
     arguments.extend([script.as_os_str(), index.as_ref()]);
     let answer = call("sbatch", &arguments, script)?;
     // The cluster's name follows where there are several.
-    let id = answer.trim().split(';').next().unwrap_or_default().to_owned();
+    let id = answer
+        .trim()
+        .split(';')
+        .next()
+        .unwrap_or_default()
+        .to_owned();
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_digit()) {
         let message = format!("it answered {answer:?}, which is not a job id");
         return Err(refused("sbatch", &message, script));
     }
-    let known = call("scontrol", &["show".as_ref(), "job".as_ref(), id.as_ref()], script)?;
+    let known = call(
+        "scontrol",
+        &["show".as_ref(), "job".as_ref(), id.as_ref()],
+        script,
+    )?;
     if !known.contains(&format!("={id}")) {
         let message = format!("it does not know job {id} although sbatch took it");
         return Err(refused("scontrol", &message, script));
@@ -185,10 +234,17 @@ fn call(program: &str, args: &[&OsStr], script: &Path) -> Result<String, Refusal
     let output = Command::new(program).args(args).output();
     let output = output.map_err(|source| {
         let hint = "submit on a machine that has Slurm, or use --dry-run to write only the script";
-        Refusal::new(Category::NoInput, format!("cannot start {program}: {source}; {hint}"))
+        Refusal::new(
+            Category::NoInput,
+            format!("cannot start {program}: {source}; {hint}"),
+        )
     })?;
     if !output.status.success() {
-        return Err(refused(program, String::from_utf8_lossy(&output.stderr).trim(), script));
+        return Err(refused(
+            program,
+            String::from_utf8_lossy(&output.stderr).trim(),
+            script,
+        ));
     }
     Ok(String::from_utf8_lossy(&output.stdout).into_owned())
 }
@@ -229,17 +285,28 @@ mod tests {
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");
         }
-        assert!(text.contains(r"--manifest '/data/my jobs/it'\''s.jsonl' --index "), "{text}");
+        assert!(
+            text.contains(r"--manifest '/data/my jobs/it'\''s.jsonl' --index "),
+            "{text}"
+        );
         let arrays = |jobs: usize| script(&options, program, jobs).arrays();
         let array = |first: usize, tasks: &str| (first, format!("{tasks}%64"));
-        assert_eq!(large.arrays(), [array(0, "0-1000"), array(1001, "0-1000"), array(2002, "0-0")]);
+        assert_eq!(
+            large.arrays(),
+            [
+                array(0, "0-1000"),
+                array(1001, "0-1000"),
+                array(2002, "0-0")
+            ]
+        );
         assert_eq!(arrays(3), [array(0, "0-2")]);
         assert!(arrays(0).is_empty());
         let bad = ["--partition=a\n#SBATCH --uid=0".to_owned()];
         assert!(script(&bad, program, 3).text().is_err());
     }
 
-    /// The script with a stand-in for the job and for `scontrol`; gives its exit code and what they wrote.
+    /// The script with a stand-in for the job and for `scontrol`; gives its exit code and what they
+    /// wrote.
     #[cfg(unix)]
     fn drive(job: &str, restarts: &str, term: bool) -> (Option<i32>, String) {
         drive_in("RUNNING", job, restarts, term)
@@ -248,11 +315,18 @@ mod tests {
     #[cfg(unix)]
     fn drive_in(state: &str, job: &str, restarts: &str, term: bool) -> (Option<i32>, String) {
         let dir = tempfile::tempdir().unwrap();
-        // Made by another process: one that is forked here meanwhile would hold it open for writing.
+        // Made by another process: one that is forked here meanwhile would hold it open for
+        // writing.
         let write = |name: &str, text: &str| {
-            let (text_file, path) = (dir.path().join(format!("{name}.txt")), dir.path().join(name));
+            let (text_file, path) = (
+                dir.path().join(format!("{name}.txt")),
+                dir.path().join(name),
+            );
             fs::write(&text_file, format!("#!/bin/bash\n{text}\n")).unwrap();
-            let status = Command::new("install").args(["-m", "755"]).args([&text_file, &path]).status();
+            let status = Command::new("install")
+                .args(["-m", "755"])
+                .args([&text_file, &path])
+                .status();
             assert!(status.unwrap().success());
             path
         };
@@ -262,12 +336,20 @@ mod tests {
         write("squeue", &format!("echo {state}"));
         let text = script(&[], &program, 3).text().unwrap();
         let file = write("script", &text);
-        let path = format!("{}:{}", dir.path().display(), std::env::var("PATH").unwrap());
+        let path = format!(
+            "{}:{}",
+            dir.path().display(),
+            std::env::var("PATH").unwrap()
+        );
         let mut child = Command::new("bash")
             .arg(&file)
             .arg("1001")
             .env("PATH", path)
-            .envs([("SLURM_ARRAY_JOB_ID", "42"), ("SLURM_ARRAY_TASK_ID", "7"), ("SLURM_RESTART_COUNT", restarts)])
+            .envs([
+                ("SLURM_ARRAY_JOB_ID", "42"),
+                ("SLURM_ARRAY_TASK_ID", "7"),
+                ("SLURM_RESTART_COUNT", restarts),
+            ])
             .stderr(std::process::Stdio::null())
             .spawn()
             .unwrap();
@@ -276,7 +358,13 @@ mod tests {
                 assert!(child.try_wait().unwrap().is_none(), "it ended too soon");
                 std::thread::sleep(std::time::Duration::from_millis(10));
             }
-            assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+            assert!(
+                Command::new("kill")
+                    .args(["-TERM", &child.id().to_string()])
+                    .status()
+                    .unwrap()
+                    .success()
+            );
         }
         let code = child.wait().unwrap().code();
         (code, fs::read_to_string(&heard).unwrap_or_default())
@@ -287,23 +375,41 @@ mod tests {
     fn the_script_ends_as_its_job_does() {
         assert_eq!(drive("exit 0", "0", false), (Some(0), String::new()));
         assert_eq!(drive("exit 65", "0", false), (Some(65), String::new()));
-        for retryable in ["exit 75", "kill -KILL $$", "case \"$*\" in *' --index 1008') exit 75;; esac"] {
+        for retryable in [
+            "exit 75",
+            "kill -KILL $$",
+            "case \"$*\" in *' --index 1008') exit 75;; esac",
+        ] {
             let (code, heard) = drive(retryable, "3", false);
-            assert_eq!((code, heard.trim()), (Some(0), "requeue 42_7"), "{retryable}");
+            assert_eq!(
+                (code, heard.trim()),
+                (Some(0), "requeue 42_7"),
+                "{retryable}"
+            );
         }
-        assert_eq!(drive("exit 75", "20", false), (Some(75), String::new()), "enough is enough");
+        assert_eq!(
+            drive("exit 75", "20", false),
+            (Some(75), String::new()),
+            "enough is enough"
+        );
         let cancelled = drive_in("CANCELLED", "exit 75", "0", false);
-        assert_eq!(cancelled, (Some(75), String::new()), "a cancelled job is not requeued");
+        assert_eq!(
+            cancelled,
+            (Some(75), String::new()),
+            "a cancelled job is not requeued"
+        );
     }
 
     #[cfg(unix)]
     #[test]
     fn a_signal_is_passed_on_and_the_job_waited_for() {
-        let job =
-            "trap 'sleep 0.5; echo saved >> HEARD; exit 75' TERM; echo ready >> HEARD; while :; do sleep 0.05; done";
+        let job = "trap 'sleep 0.5; echo saved >> HEARD; exit 75' TERM; echo ready >> HEARD; while :; do sleep 0.05; done";
         let (code, heard) = drive(job, "0", true);
         assert_eq!(code, Some(0));
-        assert_eq!(heard.lines().collect::<Vec<_>>(), ["ready", "saved", "requeue 42_7"]);
+        assert_eq!(
+            heard.lines().collect::<Vec<_>>(),
+            ["ready", "saved", "requeue 42_7"]
+        );
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! Benchmark cases on a GPU.
 
-use super::{BenchConfig, Case, Fastest, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over};
+use super::{
+    BenchConfig, Case, Fastest, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over,
+};
 use cpu_time::ProcessTime;
 use m4_kernels::bench::{Bench as Host, Counts, Probe, SceneConfig};
 use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, adapters, automatic};
@@ -55,7 +57,9 @@ pub(super) fn run(
     config: &BenchConfig,
     observer: &dyn Observer,
 ) -> Result<Case, Error> {
-    let mut host = Host::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
+    let mut host = Host::new(level, scene).map_err(|e| Error::Internal {
+        what: e.to_string(),
+    })?;
     let mut counts: Vec<Counts> = (0..host.views()).map(|view| host.count(view)).collect();
     let drawn = host.into_scene();
     let layout = drawn.splats.layout();
@@ -64,7 +68,9 @@ pub(super) fn run(
         let size = (scene.width, scene.height);
         Plan::training(n_static, n - n_static, layout, size, 1, entries)
     };
-    let limit = config.max_vram_mb.map_or(u64::MAX, |mb| 1_000_000 * mb as u64);
+    let limit = config
+        .max_vram_mb
+        .map_or(u64::MAX, |mb| 1_000_000 * mb as u64);
     let first = plan(Size::first_entries(n));
     first.check(limit)?;
     first.check_buffers(gpu)?;
@@ -72,7 +78,8 @@ pub(super) fn run(
     // what the case before left there
     gpu.give_back()?;
     let mut bench = Bench::new(gpu.clone(), drawn)?;
-    // tiles of the GPU are larger than those of the processor: lists of its own, all of which is looked at
+    // tiles of the GPU are larger than those of the processor: lists of its own, all of which is
+    // looked at
     for (view, counts) in counts.iter_mut().enumerate() {
         counts.pairs = bench.entries(view)?;
         counts.used = counts.pairs;
@@ -94,7 +101,11 @@ pub(super) fn run(
         in_use_bytes: memory.in_use,
         reserved_bytes: memory.reserved,
     };
-    let timed = Timed { kernels: steps.kernels, step: steps.step, render_ms: frames.ms };
+    let timed = Timed {
+        kernels: steps.kernels,
+        step: steps.step,
+        render_ms: frames.ms,
+    };
     Ok(case(scene, &counts, None, &probe, timed, Some(figures)))
 }
 
@@ -118,7 +129,15 @@ fn time_steps(bench: &mut Bench, steps: usize, observer: &dyn Observer) -> Resul
     })?;
     bench.stats()?;
     all_views(bench, views)?;
-    Ok(Steps { kernels, step: Step { ms, busy, loss: [before, loss(&bench.stats()?)] }, count })
+    Ok(Steps {
+        kernels,
+        step: Step {
+            ms,
+            busy,
+            loss: [before, loss(&bench.stats()?)],
+        },
+        count,
+    })
 }
 
 fn all_views(bench: &mut Bench, views: usize) -> Result<(), GpuError> {
@@ -134,7 +153,11 @@ struct Frames {
     read_ms: f64,
 }
 
-fn time_frames(drawing: &mut Drawing, frames: usize, observer: &dyn Observer) -> Result<Frames, Error> {
+fn time_frames(
+    drawing: &mut Drawing,
+    frames: usize,
+    observer: &dyn Observer,
+) -> Result<Frames, Error> {
     let views = drawing.views();
     // the first round compiles kernels
     (0..views).for_each(|view| drawing.draw(view));
@@ -155,7 +178,10 @@ fn time_frames(drawing: &mut Drawing, frames: usize, observer: &dyn Observer) ->
             }
         }
     }
-    Ok(Frames { ms, read_ms: mean_over(read_ms.into_iter(), views) })
+    Ok(Frames {
+        ms,
+        read_ms: mean_over(read_ms.into_iter(), views),
+    })
 }
 
 /// The fastest of some rounds, kernel by kernel and a view; then the mean over the views.
@@ -173,8 +199,9 @@ fn fastest(
     Ok(best.mean().0)
 }
 
-/// Milliseconds per step, processor time over wall clock, and the number of steps without waiting between them, of the fastest
-/// repetition; `run` does this many rounds over all views, and waits once.
+/// Milliseconds per step, processor time over wall clock, and the number of steps without waiting
+/// between them, of the fastest repetition; `run` does this many rounds over all views, and waits
+/// once.
 fn behind_one_another(
     steps: usize,
     views: usize,

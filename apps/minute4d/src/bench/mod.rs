@@ -13,7 +13,9 @@ pub use table::{aligned, number, today};
 
 use crate::run::with_threads;
 use cpu_time::ProcessTime;
-use m4_kernels::bench::{Bench, Counts, PEAK_EVALUATIONS, Probe, SceneConfig, SceneKind, Times, Work};
+use m4_kernels::bench::{
+    Bench, Counts, PEAK_EVALUATIONS, Probe, SceneConfig, SceneKind, Times, Work,
+};
 use m4_kernels::{Kernel, SimdLevel};
 use minute4d::device::DeviceChoice;
 use minute4d::observer::check_stop;
@@ -63,20 +65,31 @@ impl Default for BenchConfig {
 /// # Errors
 ///
 /// [`Error::Simd`] if the instruction set asked for is missing, [`Error::Stopped`] on request,
-/// [`Error::Internal`] if the system gives no threads; [`Error::Gpu`] if the GPU asked for is missing, does not have or may
-/// not take the memory, or fails; [`Error::NoGpuSupport`] in a build that cannot use any.
+/// [`Error::Internal`] if the system gives no threads; [`Error::Gpu`] if the GPU asked for is
+/// missing, does not have or may not take the memory, or fails; [`Error::NoGpuSupport`] in a build
+/// that cannot use any.
 pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport, Error> {
     let level = SimdLevel::detect()?;
     let mut scenes = Vec::new();
     for &kind in &config.scenes {
         for &(width, height) in &config.sizes {
-            scenes.extend(config.splats.iter().map(|&splats| SceneConfig { splats, width, height, kind }));
+            scenes.extend(config.splats.iter().map(|&splats| SceneConfig {
+                splats,
+                width,
+                height,
+                kind,
+            }));
         }
     }
     #[cfg(feature = "gpu")]
     if let Some(gpu) = gpu::open(config.device)? {
-        let cases = each(&scenes, 1, observer, |scene| Ok(vec![gpu::run(&gpu, level, scene, config, observer)?]))?;
-        let machine = Machine { gpu: Some(gpu::machine(&gpu)), ..Machine::here(level, config.cpu.clone()) };
+        let cases = each(&scenes, 1, observer, |scene| {
+            Ok(vec![gpu::run(&gpu, level, scene, config, observer)?])
+        })?;
+        let machine = Machine {
+            gpu: Some(gpu::machine(&gpu)),
+            ..Machine::here(level, config.cpu.clone())
+        };
         return Ok(BenchReport::new(machine, config.steps, cases));
     }
     #[cfg(not(feature = "gpu"))]
@@ -84,16 +97,24 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
         return Err(Error::NoGpuSupport);
     }
     let cases = each(&scenes, config.threads.len(), observer, |scene| {
-        let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
+        let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal {
+            what: e.to_string(),
+        })?;
         let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
         let mut cases = Vec::new();
         for &threads in &config.threads {
             check_stop(observer, "bench", false)?;
-            cases.push(with_threads(Some(threads), || on_processor(level, scene, &counts, config, &mut bench))?);
+            cases.push(with_threads(Some(threads), || {
+                on_processor(level, scene, &counts, config, &mut bench)
+            })?);
         }
         Ok(cases)
     })?;
-    Ok(BenchReport::new(Machine::here(level, config.cpu.clone()), config.steps, cases))
+    Ok(BenchReport::new(
+        Machine::here(level, config.cpu.clone()),
+        config.steps,
+        cases,
+    ))
 }
 
 /// Runs the cases of every scene with progress; each scene has this many cases.
@@ -106,7 +127,13 @@ fn each(
     let total = scenes.len() * cases_each;
     let mut cases = Vec::new();
     for scene in scenes {
-        let note = format!("{} splats, {} x {}, {}", scene.splats, scene.width, scene.height, scene.kind.name());
+        let note = format!(
+            "{} splats, {} x {}, {}",
+            scene.splats,
+            scene.width,
+            scene.height,
+            scene.kind.name()
+        );
         observer.update("bench", cases.len(), total, &note);
         check_stop(observer, "bench", false)?;
         cases.extend(of(scene)?);
@@ -117,8 +144,9 @@ fn each(
 
 /// Least and most bytes that the probe of memory streams.
 const PROBE_BYTES: (f64, f64) = (1e6, 256e6);
-/// Operations of an evaluation on a GPU, forward and backward, counted by hand from the kernels: a multiply-add,
-/// comparison or root is 1, an `exp` or division 4 (a quarter of the rate of multiply-adds, as devices have it).
+/// Operations of an evaluation on a GPU, forward and backward, counted by hand from the kernels: a
+/// multiply-add, comparison or root is 1, an `exp` or division 4 (a quarter of the rate of
+/// multiply-adds, as devices have it).
 const OPERATIONS: (f64, f64) = (24.0, 44.0);
 
 /// Times a scene on the current pool of threads; `counts` has one entry per view.
@@ -129,10 +157,17 @@ fn on_processor(
     config: &BenchConfig,
     bench: &mut Bench,
 ) -> Case {
-    let bytes: f64 = Kernel::ALL.map(|kernel| mean_work(kernel, counts).bytes).iter().sum();
+    let bytes: f64 = Kernel::ALL
+        .map(|kernel| mean_work(kernel, counts).bytes)
+        .iter()
+        .sum();
     let probe = Probe::run(level, bytes.clamp(PROBE_BYTES.0, PROBE_BYTES.1) as usize);
     let (kernels, step) = time_steps(bench, config.steps);
-    let timed = Timed { kernels, step, render_ms: time_frames(bench, config.steps) };
+    let timed = Timed {
+        kernels,
+        step,
+        render_ms: time_frames(bench, config.steps),
+    };
     case(scene, counts, Some(level), &probe, timed, None)
 }
 
@@ -160,8 +195,9 @@ fn case(
     gpu: Option<GpuCase>,
 ) -> Case {
     let kernels = Kernel::ALL.into_iter().zip(timed.kernels);
-    let rows: Vec<KernelRow> =
-        kernels.map(|(kernel, ms)| row(kernel, mean_work(kernel, counts), ms, level, probe)).collect();
+    let rows: Vec<KernelRow> = kernels
+        .map(|(kernel, ms)| row(kernel, mean_work(kernel, counts), ms, level, probe))
+        .collect();
     let mean = |f: fn(&Counts) -> f64| mean_over(counts.iter().map(f), counts.len());
     let step = StepRow {
         ms: timed.step.ms,
@@ -175,7 +211,11 @@ fn case(
         splats: scene.splats,
         width: scene.width,
         height: scene.height,
-        threads: if gpu.is_some() { 1 } else { rayon::current_num_threads() },
+        threads: if gpu.is_some() {
+            1
+        } else {
+            rayon::current_num_threads()
+        },
         alive: mean(|c| (c.alive[0] + c.alive[1]) as f64),
         visible: mean(|c| c.visible as f64),
         touched: mean(|c| (c.touched[0] + c.touched[1]) as f64),
@@ -200,12 +240,15 @@ const GPU_TILE_PIXELS: usize = 8 * 8;
 
 fn mean_work(kernel: Kernel, counts: &[Counts]) -> Work {
     let n = counts.len().max(1) as f64;
-    counts.iter().map(|c| kernel.work(c)).fold(Work::default(), |sum, w| Work {
-        bytes: sum.bytes + w.bytes / n,
-        operations: sum.operations + w.operations / n,
-        evaluations: sum.evaluations + w.evaluations / n,
-        items: sum.items + w.items / n,
-    })
+    counts
+        .iter()
+        .map(|c| kernel.work(c))
+        .fold(Work::default(), |sum, w| Work {
+            bytes: sum.bytes + w.bytes / n,
+            operations: sum.operations + w.operations / n,
+            evaluations: sum.evaluations + w.evaluations / n,
+            items: sum.items + w.items / n,
+        })
 }
 
 /// Kernel by kernel, milliseconds.
@@ -216,7 +259,10 @@ struct Fastest(Vec<(Millis, f64)>);
 
 impl Fastest {
     fn of(views: usize) -> Self {
-        Self(vec![([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY); views])
+        Self(vec![
+            ([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY);
+            views
+        ])
     }
 
     fn add(&mut self, view: usize, kernels: [Duration; Kernel::ALL.len()], whole: Duration) {
@@ -229,8 +275,12 @@ impl Fastest {
 
     /// Means over the views.
     fn mean(&self) -> (Millis, f64) {
-        let mean = |of: &dyn Fn(&(Millis, f64)) -> f64| mean_over(self.0.iter().map(of), self.0.len());
-        (std::array::from_fn(|k| mean(&|best| best.0[k])), mean(&|best| best.1))
+        let mean =
+            |of: &dyn Fn(&(Millis, f64)) -> f64| mean_over(self.0.iter().map(of), self.0.len());
+        (
+            std::array::from_fn(|k| mean(&|best| best.0[k])),
+            mean(&|best| best.1),
+        )
     }
 }
 
@@ -246,14 +296,25 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
     for _ in 0..steps.max(1) {
         loss[1] = 0.0;
         for view in 0..views {
-            let Times { kernels, step, loss: value } = bench.step(view);
+            let Times {
+                kernels,
+                step,
+                loss: value,
+            } = bench.step(view);
             best.add(view, kernels, step);
             loss[1] += value / views as f64;
         }
     }
     let (cpu, wall) = (cpu.elapsed().as_secs_f64(), wall.elapsed().as_secs_f64());
     let (kernels, ms) = best.mean();
-    (kernels, Step { ms, busy: cpu / (wall * rayon::current_num_threads() as f64), loss })
+    (
+        kernels,
+        Step {
+            ms,
+            busy: cpu / (wall * rayon::current_num_threads() as f64),
+            loss,
+        },
+    )
 }
 
 /// Milliseconds of the fastest frame of each view, as the mean over the views.
@@ -280,7 +341,13 @@ fn ms(d: Duration) -> f64 {
 }
 
 /// `level` is none on a GPU.
-fn row(kernel: Kernel, mut work: Work, ms: f64, level: Option<SimdLevel>, probe: &Probe) -> KernelRow {
+fn row(
+    kernel: Kernel,
+    mut work: Work,
+    ms: f64,
+    level: Option<SimdLevel>,
+    probe: &Probe,
+) -> KernelRow {
     let forward = kernel == Kernel::Blend;
     let evaluation = match level {
         Some(level) => {
@@ -288,7 +355,9 @@ fn row(kernel: Kernel, mut work: Work, ms: f64, level: Option<SimdLevel>, probe:
                 .iter()
                 .find(|p| p.level == level.name())
                 .map(|p| if forward { p.forward } else { p.backward });
-            peak.map_or(0.0, |peak| work.evaluations / (peak * rayon::current_num_threads() as f64))
+            peak.map_or(0.0, |peak| {
+                work.evaluations / (peak * rayon::current_num_threads() as f64)
+            })
         }
         None => {
             work.operations += work.evaluations * if forward { OPERATIONS.0 } else { OPERATIONS.1 };
@@ -300,8 +369,9 @@ fn row(kernel: Kernel, mut work: Work, ms: f64, level: Option<SimdLevel>, probe:
         (Bound::Arithmetic, work.operations / probe.operations_per_s),
         (Bound::Evaluation, evaluation),
     ];
-    let (bound, seconds) =
-        limits.into_iter().fold((Bound::Memory, 0.0), |best, now| if now.1 > best.1 { now } else { best });
+    let (bound, seconds) = limits.into_iter().fold((Bound::Memory, 0.0), |best, now| {
+        if now.1 > best.1 { now } else { best }
+    });
     let (bound_ms, seconds) = (seconds * 1e3, (ms * 1e-3).max(1e-9));
     KernelRow {
         kernel: kernel.name().to_owned(),

@@ -31,7 +31,8 @@ pub struct GpuMachine {
 /// What a case on a GPU has besides.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GpuCase {
-    /// Kernels were timed by the GPU's own clock; else by waiting for it after each, which takes longer than short kernels.
+    /// Kernels were timed by the GPU's own clock; else by waiting for it after each, which takes
+    /// longer than short kernels.
     pub(super) own_clock: bool,
     /// Steps that were requested without waiting between them.
     pub(super) behind_one_another: usize,
@@ -41,7 +42,8 @@ pub struct GpuCase {
     pub(super) planned_bytes: u64,
     /// What its buffers took, with the bench's own, bytes.
     pub(super) in_use_bytes: u64,
-    /// What the runtime had taken from the driver, bytes: it rarely gives any back, so that this is close to the peak.
+    /// What the runtime had taken from the driver, bytes: it rarely gives any back, so that this is
+    /// close to the peak.
     pub(super) reserved_bytes: u64,
 }
 
@@ -62,10 +64,9 @@ impl Machine {
     /// As one line.
     #[must_use]
     pub fn line(&self) -> String {
-        let gpu = self
-            .gpu
-            .as_ref()
-            .map_or_else(String::new, |gpu| format!("{} ({}, {}, {}); ", gpu.name, gpu.kind, gpu.api, gpu.driver));
+        let gpu = self.gpu.as_ref().map_or_else(String::new, |gpu| {
+            format!("{} ({}, {}, {}); ", gpu.name, gpu.kind, gpu.api, gpu.driver)
+        });
         format!(
             "{gpu}{}, {} cores, {}, {}; minute4d {}",
             self.cpu.as_deref().unwrap_or("unknown processor"),
@@ -85,7 +86,8 @@ pub enum Bound {
     Memory,
     /// Operations of the definition at this machine's rate of multiply-adds.
     Arithmetic,
-    /// Useful evaluations at the peak rate of the blending loop ([`m4_kernels::bench::PEAK_EVALUATIONS`]).
+    /// Useful evaluations at the peak rate of the blending loop
+    /// ([`m4_kernels::bench::PEAK_EVALUATIONS`]).
     Evaluation,
 }
 
@@ -128,8 +130,8 @@ pub struct StepRow {
     /// Wall clock of the fastest step; on a GPU the mean of many without waiting between them.
     pub(super) ms: f64,
     pub(super) per_s: f64,
-    /// CPU time of all threads over wall clock times threads, over all timed steps: the rest was spent waiting. On a GPU over wall
-    /// clock alone: the cost of submitting work.
+    /// CPU time of all threads over wall clock times threads, over all timed steps: the rest was
+    /// spent waiting. On a GPU over wall clock alone: the cost of submitting work.
     pub(super) busy: f64,
     /// Sum of the kernels' bounds.
     pub(super) bound_ms: f64,
@@ -189,7 +191,14 @@ pub struct BenchReport {
 impl BenchReport {
     /// A report of today.
     pub(super) fn new(machine: Machine, steps: usize, cases: Vec<Case>) -> Self {
-        Self { format: "minute4d-bench".to_owned(), version: 1, date: today(), machine, steps, cases }
+        Self {
+            format: "minute4d-bench".to_owned(),
+            version: 1,
+            date: today(),
+            machine,
+            steps,
+            cases,
+        }
     }
 
     /// The whole report: the machine, one row per case, then one table per case.
@@ -200,7 +209,11 @@ impl BenchReport {
             self.date,
             self.machine.line(),
             self.steps,
-            if self.machine.gpu.is_some() { "; whole steps and frames without waiting between them" } else { "" },
+            if self.machine.gpu.is_some() {
+                "; whole steps and frames without waiting between them"
+            } else {
+                ""
+            },
         );
         text += &self.overview();
         for case in &self.cases {
@@ -211,8 +224,14 @@ impl BenchReport {
 
     /// One row per case: milliseconds per kernel and per step.
     fn overview(&self) -> String {
-        let names = self.cases.first().into_iter().flat_map(|case| case.kernels.iter().map(|k| k.kernel.as_str()));
-        let head = ["scene", "splats", "size", "threads"].into_iter().chain(names);
+        let names = self
+            .cases
+            .first()
+            .into_iter()
+            .flat_map(|case| case.kernels.iter().map(|k| k.kernel.as_str()));
+        let head = ["scene", "splats", "size", "threads"]
+            .into_iter()
+            .chain(names);
         let head = head.chain(["step ms", "steps/s", "busy", "frames/s"]);
         let mut table: Vec<Vec<String>> = vec![head.map(str::to_owned).collect()];
         for case in &self.cases {
@@ -220,11 +239,16 @@ impl BenchReport {
                 case.scene.clone(),
                 case.splats.to_string(),
                 format!("{}x{}", case.width, case.height),
-                case.gpu.map_or_else(|| case.threads.to_string(), |_| "GPU".to_owned()),
+                case.gpu
+                    .map_or_else(|| case.threads.to_string(), |_| "GPU".to_owned()),
             ];
             row.extend(case.kernels.iter().map(|k| millis(k.ms)));
             let s = &case.step;
-            row.extend([millis(s.ms), format!("{:.1}", s.per_s), format!("{:.0} %", 100.0 * s.busy)]);
+            row.extend([
+                millis(s.ms),
+                format!("{:.1}", s.per_s),
+                format!("{:.0} %", 100.0 * s.busy),
+            ]);
             row.push(format!("{:.0}", case.frames_per_s));
             table.push(row);
         }
@@ -239,8 +263,10 @@ impl Case {
             (None, 1) => "1 thread".to_owned(),
             (None, threads) => format!("{threads} threads"),
         };
-        let mut text =
-            format!("## {} splats, {} x {}, {}, {place}\n\n", self.splats, self.width, self.height, self.scene,);
+        let mut text = format!(
+            "## {} splats, {} x {}, {}, {place}\n\n",
+            self.splats, self.width, self.height, self.scene,
+        );
         text += &format!(
             "{:.0} alive, {:.0} in the image, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
              useful; memory {:.1} GB/s, multiply-adds {:.1} G/s\n\n",
@@ -253,7 +279,10 @@ impl Case {
             self.stream_gb_per_s,
             self.multiply_add_g_per_s,
         );
-        let head = ["kernel", "ms", "ns/item", "item", "Geval/s", "MB", "GB/s", "bound ms", "bound by", "x bound"];
+        let head = [
+            "kernel", "ms", "ns/item", "item", "Geval/s", "MB", "GB/s", "bound ms", "bound by",
+            "x bound",
+        ];
         let mut table = vec![head.map(str::to_owned).to_vec()];
         table.extend(self.kernels.iter().map(kernel_row));
         let (step, dash) = (&self.step, || "-".to_owned());
@@ -263,7 +292,10 @@ impl Case {
             dash(),
             dash(),
             dash(),
-            format!("{:.1}", self.kernels.iter().map(|k| k.bytes).sum::<f64>() / 1e6),
+            format!(
+                "{:.1}",
+                self.kernels.iter().map(|k| k.bytes).sum::<f64>() / 1e6
+            ),
             dash(),
             millis(step.bound_ms),
             "all".to_owned(),
@@ -283,7 +315,11 @@ impl GpuCase {
         format!(
             "\nkernels timed by {}; {} behind one another; memory {:.0} MB planned, {:.0} MB in use, {:.0} MB taken from \
              the driver; {:.0} frames/s where each is copied to the host\n",
-            if self.own_clock { "the GPU's own clock" } else { "waiting for the GPU after each" },
+            if self.own_clock {
+                "the GPU's own clock"
+            } else {
+                "waiting for the GPU after each"
+            },
             self.behind_one_another,
             mb(self.planned_bytes),
             mb(self.in_use_bytes),
@@ -310,5 +346,9 @@ fn kernel_row(k: &KernelRow) -> Vec<String> {
 
 /// To a hundredth, below a millisecond to a thousandth.
 fn millis(ms: f64) -> String {
-    if ms < 1.0 { format!("{ms:.3}") } else { format!("{ms:.2}") }
+    if ms < 1.0 {
+        format!("{ms:.3}")
+    } else {
+        format!("{ms:.2}")
+    }
 }

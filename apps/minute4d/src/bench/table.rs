@@ -11,27 +11,40 @@ pub fn number(value: Option<f64>, digits: usize) -> String {
 pub fn aligned(rows: &[Vec<String>]) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let cell = |row: &Vec<String>, c: usize| row.get(c).cloned().unwrap_or_default();
-    let width = |c: usize| rows.iter().map(|row| cell(row, c).chars().count()).max().unwrap_or(0);
+    let width = |c: usize| {
+        rows.iter()
+            .map(|row| cell(row, c).chars().count())
+            .max()
+            .unwrap_or(0)
+    };
     let widths: Vec<usize> = (0..columns).map(width).collect();
     let line = |row: &Vec<String>| -> String {
-        let cells = widths.iter().enumerate().map(|(c, &width)| format!(" {:>width$} |", cell(row, c)));
+        let cells = widths
+            .iter()
+            .enumerate()
+            .map(|(c, &width)| format!(" {:>width$} |", cell(row, c)));
         format!("|{}\n", cells.collect::<String>())
     };
     let mut lines: Vec<String> = rows.iter().map(line).collect();
-    let rule: String = widths.iter().map(|width| format!("{}:|", "-".repeat(width + 1))).collect();
+    let rule: String = widths
+        .iter()
+        .map(|width| format!("{}:|", "-".repeat(width + 1)))
+        .collect();
     lines.insert(lines.len().min(1), format!("|{rule}\n"));
     lines.concat()
 }
 
 /// The day, UTC.
 pub fn today() -> String {
-    let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let seconds = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |d| d.as_secs());
     let (year, month, day) = civil(seconds / 86_400);
     format!("{year:04}-{month:02}-{day:02}")
 }
 
-/// Year, month and day of this many days after 1970-01-01, Gregorian calendar (years from March on, so
-/// that the leap day is the last: 146,097 days in 400 years).
+/// Year, month and day of this many days after 1970-01-01, Gregorian calendar (years from March on,
+/// so that the leap day is the last: 146,097 days in 400 years).
 fn civil(days: u64) -> (u64, u64, u64) {
     let days = days + 719_468;
     let (era, of_era) = (days / 146_097, days % 146_097);
@@ -51,7 +64,10 @@ mod tests {
     fn columns_line_up() {
         let row = |cells: &[&str]| cells.iter().map(|&c| c.to_owned()).collect::<Vec<_>>();
         let text = aligned(&[row(&["a", "kernel"]), row(&["1000", "x"])]);
-        assert_eq!(text, "|    a | kernel |\n|-----:|-------:|\n| 1000 |      x |\n");
+        assert_eq!(
+            text,
+            "|    a | kernel |\n|-----:|-------:|\n| 1000 |      x |\n"
+        );
     }
 
     #[test]

@@ -2,7 +2,8 @@
 
 use crate::batch::slurm::{Script, largest_array, submit};
 use crate::batch::{
-    Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan, run_job,
+    Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan,
+    run_job,
 };
 use crate::failure::Failure;
 use crate::options::Common;
@@ -87,7 +88,11 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
         max_parallel: args.max_parallel,
         options: &args.options,
     };
-    let (file, text, arrays) = (path.with_extension("sbatch"), script.text().map_err(Error::from)?, script.arrays());
+    let (file, text, arrays) = (
+        path.with_extension("sbatch"),
+        script.text().map_err(Error::from)?,
+        script.arrays(),
+    );
     let failed = |path: &Path| {
         let path = path.to_path_buf();
         move |source| Error::Write { path, source }
@@ -96,13 +101,21 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     std::fs::create_dir_all(&logs).map_err(failed(&logs))?;
     claim(&file)?;
     atomic::write(&file, text.as_bytes()).map_err(failed(&file))?;
-    output.note(&format!("{} jobs in {} array(s); logs in {}", manifest.jobs.len(), arrays.len(), logs.display()));
+    output.note(&format!(
+        "{} jobs in {} array(s); logs in {}",
+        manifest.jobs.len(),
+        arrays.len(),
+        logs.display()
+    ));
     let mut ids = Vec::new();
     if !args.dry_run {
         for (first, tasks) in &arrays {
             ids.push(submit(&file, *first, tasks).map_err(Error::from)?);
         }
-        output.note(&format!("`minute4d batch status --manifest {}` shows their progress", path.display()));
+        output.note(&format!(
+            "`minute4d batch status --manifest {}` shows their progress",
+            path.display()
+        ));
     }
     let text = match args.dry_run {
         true => file.display().to_string(),
@@ -119,7 +132,10 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
 /// Refuses a file that exists and is not a result of an earlier call.
 fn claim(path: &Path) -> Result<(), Failure> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     let mut results = ResultFolder::open(folder, Kind::Report).map_err(Error::from)?;
     Ok(results.claim([&*name]).map_err(Error::from)?)
 }
@@ -128,11 +144,19 @@ fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
     let manifest = Manifest::read(&args.manifest)?;
     let mut report = Report::read(&manifest)?;
     if let Some(path) = &args.html {
-        let title = args.manifest.file_stem().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        let title = args
+            .manifest
+            .file_stem()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         claim(path)?;
-        atomic::write(path, page(&report, &title).as_bytes())
-            .map_err(|source| Error::Write { path: path.clone(), source })?;
-        output.note(&format!("overview of all clips written to {}", path.display()));
+        atomic::write(path, page(&report, &title).as_bytes()).map_err(|source| Error::Write {
+            path: path.clone(),
+            source,
+        })?;
+        output.note(&format!(
+            "overview of all clips written to {}",
+            path.display()
+        ));
     }
     let table = report.table(args.failed);
     if args.failed {
@@ -143,7 +167,13 @@ fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
 }
 
 fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|source| Error::Read { path: path.to_path_buf(), source }.into())
+    std::path::absolute(path).map_err(|source| {
+        Error::Read {
+            path: path.to_path_buf(),
+            source,
+        }
+        .into()
+    })
 }
 
 #[derive(Debug, Args)]
@@ -152,7 +182,11 @@ pub struct BatchPlan {
     #[arg(required_unless_present = "print_config", value_name = "VIDEOS")]
     pub given: Vec<String>,
     /// The manifest to write
-    #[arg(short = 'o', value_name = "FILE", required_unless_present = "print_config")]
+    #[arg(
+        short = 'o',
+        value_name = "FILE",
+        required_unless_present = "print_config"
+    )]
     pub manifest: Option<PathBuf>,
     /// Folder for the results, with one folder per clip in it
     #[arg(long, value_name = "DIR", required_unless_present = "print_config")]
@@ -171,15 +205,26 @@ pub struct BatchPlan {
 
 fn run_plan(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
     let mut settings = args.training.settings(Some(&args.video))?;
-    let (Some(manifest), Some(results), false) = (&args.manifest, &args.out, args.training.settings.print_config)
-    else {
+    let (Some(manifest), Some(results), false) = (
+        &args.manifest,
+        &args.out,
+        args.training.settings.print_config,
+    ) else {
         return print_config(&settings, output);
     };
     make_paths_absolute(&mut settings)?;
     args.training.device.request()?;
     let results = absolute(results)?;
     let run = arguments(args, &settings)?;
-    let planned = plan(&Plan { given: &args.given, recursive: args.recursive, results: &results, run }, output)?;
+    let planned = plan(
+        &Plan {
+            given: &args.given,
+            recursive: args.recursive,
+            results: &results,
+            run,
+        },
+        output,
+    )?;
     planned.write(manifest, args.force)?;
     let training = settings.train.budget_s.max(0.0) * planned.jobs.len() as f64;
     let spent = match training > 0.0 {
@@ -203,7 +248,10 @@ fn run_plan(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
 
 /// Returns the arguments of every run.
 fn arguments(args: &BatchPlan, settings: &Settings) -> Result<Arguments, Failure> {
-    let mut arguments = vec!["--device".to_owned(), args.training.device.device.to_string()];
+    let mut arguments = vec![
+        "--device".to_owned(),
+        args.training.device.device.to_string(),
+    ];
     if let Some(mb) = args.training.device.max_vram {
         arguments.extend(["--max-vram".to_owned(), mb.to_string()]);
     }
@@ -211,17 +259,31 @@ fn arguments(args: &BatchPlan, settings: &Settings) -> Result<Arguments, Failure
     if args.training.reach.allow_outside {
         arguments.push("--allow-outside".to_owned());
     }
-    Ok(Arguments { settings: settings.to_toml()?, arguments })
+    Ok(Arguments {
+        settings: settings.to_toml()?,
+        arguments,
+    })
 }
 
 /// Makes the paths in the settings absolute, since jobs may start in another folder.
 fn make_paths_absolute(settings: &mut Settings) -> Result<(), Failure> {
     let geometry = &mut settings.geometry;
-    for path in [&mut geometry.poses, &mut geometry.masks, &mut geometry.depth].into_iter().flatten() {
+    for path in [
+        &mut geometry.poses,
+        &mut geometry.masks,
+        &mut geometry.depth,
+    ]
+    .into_iter()
+    .flatten()
+    {
         *path = absolute(path)?;
     }
     // The value holds numbers, unless a file of that name exists.
-    if let Some(lens) = geometry.intrinsics.as_mut().filter(|lens| Path::new(lens).is_file()) {
+    if let Some(lens) = geometry
+        .intrinsics
+        .as_mut()
+        .filter(|lens| Path::new(lens).is_file())
+    {
         *lens = absolute(Path::new(lens))?.display().to_string();
     }
     Ok(())
@@ -232,7 +294,8 @@ pub struct BatchRun {
     /// The manifest
     #[arg(long, value_name = "FILE")]
     pub manifest: PathBuf,
-    /// Index of the job, counted from 0 [default: SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX, whichever is set first]
+    /// Index of the job, counted from 0 [default: SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX,
+    /// whichever is set first]
     #[arg(long, value_name = "N")]
     pub index: Option<usize>,
     /// Run the job again even if it failed permanently
@@ -255,10 +318,13 @@ fn run_index(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fa
     };
     let tools = Tools {
         program: program()?,
-        arguments: common.threads.map_or_else(Vec::new, |n| vec!["--threads".to_owned(), n.to_string()]),
+        arguments: common
+            .threads
+            .map_or_else(Vec::new, |n| vec!["--threads".to_owned(), n.to_string()]),
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
-    let end = run_job(&manifest, index, args.retry_failed, &tools, output).map_err(batch_failure)?;
+    let end =
+        run_job(&manifest, index, args.retry_failed, &tools, output).map_err(batch_failure)?;
     let id = &manifest.jobs[index].id;
     let text = describe(id, &end);
     output.result(
@@ -270,21 +336,28 @@ fn run_index(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fa
         Outcome::Failed => Category::BadInput.exit_code(),
         // Ctrl-C keeps its own code, so that the scheduler does not run the job again.
         Outcome::Retryable => {
-            let pressed = output.stop().code().filter(|&code| code == Category::Stopped.exit_code());
+            let pressed = output
+                .stop()
+                .code()
+                .filter(|&code| code == Category::Stopped.exit_code());
             pressed.unwrap_or(Category::TryAgain.exit_code())
         }
     };
     Err(Failure { code, reason: text })
 }
 
-/// Maps an error outside the clip to an exit code: files that cannot be read or written may work later or on another machine; a bad manifest is bad settings.
+/// Maps an error outside the clip to an exit code: files that cannot be read or written may work
+/// later or on another machine; a bad manifest is bad settings.
 fn batch_failure(error: Error) -> Failure {
     let category = match &error {
         Error::Read { .. } | Error::Write { .. } => Category::TryAgain,
         Error::Refused(refusal) if refusal.category == Category::BadInput => Category::BadSettings,
         _ => return error.into(),
     };
-    Failure { code: category.exit_code(), ..error.into() }
+    Failure {
+        code: category.exit_code(),
+        ..error.into()
+    }
 }
 
 fn describe(id: &str, end: &JobEnd) -> String {
@@ -293,7 +366,10 @@ fn describe(id: &str, end: &JobEnd) -> String {
         (Outcome::Done, None) => format!("{id}: already done"),
         (Outcome::Failed, Some(_)) => format!("{id} failed permanently: {}", end.reason),
         (Outcome::Failed, None) => {
-            format!("{id} failed permanently before and is not run again without --retry-failed: {}", end.reason)
+            format!(
+                "{id} failed permanently before and is not run again without --retry-failed: {}",
+                end.reason
+            )
         }
         (Outcome::Retryable, _) => format!("{id} should be retried: {}", end.reason),
     }

@@ -28,8 +28,8 @@ pub struct Bench {
     /// Short run: 100,000 splats at 480x360 and few steps, unless other options say otherwise
     #[arg(long)]
     pub quick: bool,
-    /// Device: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best GPU,
-    /// falling back to the CPU)
+    /// Device: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the
+    /// best GPU, falling back to the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     /// Limit of GPU memory in megabytes; a benchmark that needs more is refused
@@ -39,8 +39,16 @@ pub struct Bench {
 
 fn scene_kinds() -> impl TypedValueParser<Value = SceneKind> {
     choice([
-        ("static", "Every splat is visible at all times", SceneKind::Static),
-        ("4d", "Four of five splats are visible for one or two of 64 frames", SceneKind::FourD),
+        (
+            "static",
+            "Every splat is visible at all times",
+            SceneKind::Static,
+        ),
+        (
+            "4d",
+            "Four of five splats are visible for one or two of 64 frames",
+            SceneKind::FourD,
+        ),
     ])
 }
 

@@ -71,8 +71,14 @@ fn examine() -> Result<Machine, Failure> {
         cores: System::physical_core_count().ok(),
         threads: crate::run::threads(),
         simd: simd.name().to_owned(),
-        simd_available: m4_kernels::SimdLevel::available().iter().map(|l| l.name()).collect(),
-        memory: system.map(|s| Memory { total_bytes: s.total_memory(), available_bytes: s.available_memory() }),
+        simd_available: m4_kernels::SimdLevel::available()
+            .iter()
+            .map(|l| l.name())
+            .collect(),
+        memory: system.map(|s| Memory {
+            total_bytes: s.total_memory(),
+            available_bytes: s.available_memory(),
+        }),
         ffmpeg: ffmpeg(),
         gpus: gpus(),
         notes: Vec::new(),
@@ -89,26 +95,42 @@ pub(super) fn processor() -> Option<String> {
 }
 
 fn ffmpeg() -> Ffmpeg {
-    let output = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).output();
-    let text = output.ok().filter(|o| o.status.success()).map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
+    let output = Command::new("ffmpeg")
+        .arg("-version")
+        .stdin(Stdio::null())
+        .output();
+    let text = output
+        .ok()
+        .filter(|o| o.status.success())
+        .map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
     let version = text.as_deref().and_then(|text| {
         let rest = text.lines().next()?.strip_prefix("ffmpeg version ")?;
         rest.split_whitespace().next().map(str::to_owned)
     });
-    Ffmpeg { found: text.is_some(), version }
+    Ffmpeg {
+        found: text.is_some(),
+        version,
+    }
 }
 
 #[cfg(feature = "gpu")]
 fn gpus() -> Vec<GpuAdapter> {
     use m4_kernels::gpu::{AdapterKind, adapters};
     let all = adapters();
-    let usable = |a: &m4_kernels::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
+    let usable =
+        |a: &m4_kernels::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
     let chosen = m4_kernels::gpu::automatic(all).map(|a| a.index);
     let why = |a: &m4_kernels::gpu::Adapter| match (&a.unfit, a.kind) {
         (Some(unfit), _) => Some(unfit.clone()),
-        (None, AdapterKind::Software) => Some("software rendering, slower than --device cpu".to_owned()),
-        (None, kind) if kind != AdapterKind::Discrete => Some("not measured; --device gpu uses it".to_owned()),
-        (None, _) if usable(a) && chosen != Some(a.index) => Some("another GPU is better".to_owned()),
+        (None, AdapterKind::Software) => {
+            Some("software rendering, slower than --device cpu".to_owned())
+        }
+        (None, kind) if kind != AdapterKind::Discrete => {
+            Some("not measured; --device gpu uses it".to_owned())
+        }
+        (None, _) if usable(a) && chosen != Some(a.index) => {
+            Some("another GPU is better".to_owned())
+        }
         _ => None,
     };
     all.iter()
@@ -134,7 +156,10 @@ fn gpus() -> Vec<GpuAdapter> {
 fn notes(machine: &Machine) -> Vec<String> {
     let mut notes = Vec::new();
     if !cfg!(feature = "gpu") {
-        notes.push(format!("this program was built without GPU support; `{}` builds it with it", minute4d::BUILD_FULL));
+        notes.push(format!(
+            "this program was built without GPU support; `{}` builds it with it",
+            minute4d::BUILD_FULL
+        ));
     } else if machine.gpus.is_empty() {
         notes.push(
             "no GPU was found through Vulkan, Metal, DX12 or OpenGL; if there is one, its driver is missing".to_owned(),
@@ -149,11 +174,18 @@ fn notes(machine: &Machine) -> Vec<String> {
                 .to_owned(),
         );
     }
-    if machine.memory.as_ref().is_some_and(|m| m.available_bytes < LITTLE_MEMORY) {
+    if machine
+        .memory
+        .as_ref()
+        .is_some_and(|m| m.available_bytes < LITTLE_MEMORY)
+    {
         notes.push("little free memory: reduce clips with --max-frames and --size".to_owned());
     }
     if machine.simd == "sse2" || machine.simd == "portable" {
-        notes.push("no wide vector instructions (AVX2 or better): training is several times slower".to_owned());
+        notes.push(
+            "no wide vector instructions (AVX2 or better): training is several times slower"
+                .to_owned(),
+        );
     }
     notes
 }
@@ -184,28 +216,48 @@ fn describe(machine: &Machine) -> String {
         (None, false) => "not found".to_owned(),
     };
     let mut rows = vec![
-        ("minute4d", format!("{} on {}", machine.minute4d, machine.platform)),
+        (
+            "minute4d",
+            format!("{} on {}", machine.minute4d, machine.platform),
+        ),
         (
             "processor",
             format!(
                 "{}, {} cores, {} threads used",
                 machine.cpu.as_deref().unwrap_or("unknown"),
-                machine.cores.map_or_else(|| "unknown".to_owned(), |n| n.to_string()),
+                machine
+                    .cores
+                    .map_or_else(|| "unknown".to_owned(), |n| n.to_string()),
                 machine.threads
             ),
         ),
-        ("instructions", format!("{} (available: {})", machine.simd, machine.simd_available.join(", "))),
+        (
+            "instructions",
+            format!(
+                "{} (available: {})",
+                machine.simd,
+                machine.simd_available.join(", ")
+            ),
+        ),
         (
             "memory",
             machine.memory.as_ref().map_or_else(
                 || "unknown".to_owned(),
-                |m| format!("{:.1} GiB, {:.1} GiB free", gib(m.total_bytes), gib(m.available_bytes)),
+                |m| {
+                    format!(
+                        "{:.1} GiB, {:.1} GiB free",
+                        gib(m.total_bytes),
+                        gib(m.available_bytes)
+                    )
+                },
             ),
         ),
         ("ffmpeg", ffmpeg),
     ];
     rows.extend(machine.gpus.iter().map(|gpu| ("gpu", describe_gpu(gpu))));
     rows.extend(machine.notes.iter().map(|note| ("note", note.clone())));
-    let lines = rows.iter().map(|(name, text)| format!("{name:<13} {text}\n"));
+    let lines = rows
+        .iter()
+        .map(|(name, text)| format!("{name:<13} {text}\n"));
     lines.collect()
 }

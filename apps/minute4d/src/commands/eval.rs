@@ -1,4 +1,5 @@
-//! `minute4d eval`: scores a scene on held-out views; `minute4d split`: splits a capture into training and held-out frames.
+//! `minute4d eval`: scores a scene on held-out views; `minute4d split`: splits a capture into
+//! training and held-out frames.
 
 use crate::failure::Failure;
 use crate::options::ReachArgs;
@@ -20,15 +21,16 @@ pub struct Eval {
     /// Dilate the masks of dynamic regions by this many pixels first
     #[arg(long, value_name = "PX", default_value_t = 0)]
     pub grow_mask: usize,
-    /// Evaluation protocol, which fixes frames, masks, metrics and poses: holdout, instant4d, rodygs, dycheck, nvidia, davis; eval.json then
-    /// records every choice
+    /// Evaluation protocol, which fixes frames, masks, metrics and poses: holdout, instant4d,
+    /// rodygs, dycheck, nvidia, davis; eval.json then records every choice
     #[arg(long, value_name = "PROTOCOL")]
     pub protocol: Option<Protocol>,
-    /// Folder of co-visibility masks, PNG files named like the images of the views [default: the capture's folder covisible, or masks
-    /// computed from its poses and depth]
+    /// Folder of co-visibility masks, PNG files named like the images of the views [default: the
+    /// capture's folder covisible, or masks computed from its poses and depth]
     #[arg(long, value_name = "DIR", requires = "protocol")]
     pub covisible: Option<PathBuf>,
-    /// Optimise the poses of test images before scoring, as published methods do under this protocol
+    /// Optimise the poses of test images before scoring, as published methods do under this
+    /// protocol
     #[arg(long, requires = "protocol")]
     pub refine_poses: bool,
     /// Device that renders the views: `cpu`, `gpu`, `gpu:N` or `auto`
@@ -98,15 +100,29 @@ pub struct Split {
 }
 
 pub fn split(args: &Split, output: &Output) -> Result<(), Failure> {
-    let existing = if args.force { Existing::Force } else { Existing::Refuse };
+    let existing = if args.force {
+        Existing::Force
+    } else {
+        Existing::Refuse
+    };
     let reach = args.reach.reach();
-    let record = minute4d_eval::split(&args.capture, args.protocol, &args.out, existing, reach, output)?;
+    let record = minute4d_eval::split(
+        &args.capture,
+        args.protocol,
+        &args.out,
+        existing,
+        reach,
+        output,
+    )?;
     output.note(&format!(
         "{} of {} frames are held out: {}",
         record.held_out.len(),
         record.frames,
         record.frame_rule.description()
     ));
-    output.result(&args.out.display().to_string(), minute4d::plain_json(&record)?);
+    output.result(
+        &args.out.display().to_string(),
+        minute4d::plain_json(&record)?,
+    );
     Ok(())
 }

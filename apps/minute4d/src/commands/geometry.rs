@@ -1,8 +1,10 @@
-//! `minute4d geometry`: turns a video into a capture. `minute4d enhance`: improves the masks of a capture and tracks points.
+//! `minute4d geometry`: turns a video into a capture. `minute4d enhance`: improves the masks of a
+//! capture and tracks points.
 
 use crate::failure::Failure;
 use crate::options::{
-    OutArgs, ReachArgs, SettingsArgs, VideoArgs, WithoutArgs, print_config, segmenters, settings, trackers,
+    OutArgs, ReachArgs, SettingsArgs, VideoArgs, WithoutArgs, print_config, segmenters, settings,
+    trackers,
 };
 use crate::output::Output;
 use crate::run::Job;
@@ -19,11 +21,17 @@ pub struct Geometry {
     #[arg(required_unless_present = "print_config")]
     pub input: Option<PathBuf>,
     /// Folder for the capture
-    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    #[arg(
+        long,
+        short,
+        value_name = "DIR",
+        required_unless_present = "print_config"
+    )]
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub video: VideoArgs,
-    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the CPU)
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or
+    /// `auto` (the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     #[command(flatten)]
@@ -37,11 +45,17 @@ pub struct Geometry {
 pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, Some(&args.video), None)?;
     args.without.apply(&mut settings);
-    let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
+    let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config)
+    else {
         return print_config(&settings, output);
     };
     let asked = settings.geometry.segmenter;
-    let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
+    let job = Job {
+        settings,
+        device: args.device.into(),
+        existing: args.existing.mode(),
+        observer: output,
+    };
     let record = crate::run::geometry::make(input, out, &job)?;
     if let Some(found) = &record.found {
         output.note(&format!(
@@ -64,7 +78,10 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
             output.note("MobileSAM improves the masks of dynamic objects: `minute4d weights fetch mobile-sam`");
         }
     }
-    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&record)?}));
+    output.result(
+        &out.display().to_string(),
+        json!({"path": out, "record": minute4d::plain_json(&record)?}),
+    );
     Ok(())
 }
 
@@ -74,7 +91,12 @@ pub struct Enhance {
     #[arg(required_unless_present = "print_config")]
     pub capture: Option<PathBuf>,
     /// Folder for the enhanced capture
-    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    #[arg(
+        long,
+        short,
+        value_name = "DIR",
+        required_unless_present = "print_config"
+    )]
     pub out: Option<PathBuf>,
     /// Segmentation method [default: auto]
     #[arg(long, value_parser = segmenters())]
@@ -82,7 +104,8 @@ pub struct Enhance {
     /// Tracking method [default: auto]
     #[arg(long, value_parser = trackers())]
     pub tracker: Option<Tracker>,
-    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the CPU)
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or
+    /// `auto` (the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     pub device: DeviceChoice,
     #[command(flatten)]
@@ -99,12 +122,20 @@ pub fn enhance(args: &Enhance, output: &Output) -> Result<(), Failure> {
     let geometry = &mut settings.geometry;
     geometry.segmenter = args.segmenter.unwrap_or(geometry.segmenter);
     geometry.tracker = args.tracker.unwrap_or(geometry.tracker);
-    let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
+    let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config)
+    else {
         return print_config(&settings, output);
     };
-    let job = Job { settings, device: args.device.into(), existing: args.existing.mode(), observer: output };
+    let job = Job {
+        settings,
+        device: args.device.into(),
+        existing: args.existing.mode(),
+        observer: output,
+    };
     let report = crate::run::enhance::make(capture, out, &job)?;
-    let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
+    let share = |share: Option<f64>| {
+        share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s))
+    };
     output.note(&format!(
         "segmentation {}: {} objects; dynamic pixels {} before, {} now; tracking {}: {} points",
         report.segmenter,
@@ -114,6 +145,9 @@ pub fn enhance(args: &Enhance, output: &Output) -> Result<(), Failure> {
         report.tracker,
         report.tracks
     ));
-    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(&report)?}));
+    output.result(
+        &out.display().to_string(),
+        json!({"path": out, "record": minute4d::plain_json(&report)?}),
+    );
     Ok(())
 }

@@ -1,10 +1,12 @@
-//! `minute4d import`: turns files of another tool into a scene or a capture. `minute4d export`: writes a scene for other viewers, or a
-//! capture for COLMAP.
+//! `minute4d import`: turns files of another tool into a scene or a capture. `minute4d export`:
+//! writes a scene for other viewers, or a capture for COLMAP.
 
 use crate::failure::Failure;
 use crate::options::{ReachArgs, rate};
 use crate::output::Output;
-use crate::run::import::{CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report};
+use crate::run::import::{
+    CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report,
+};
 use clap::Args;
 use minute4d::Existing;
 use minute4d::export::{ExportJob, Format};
@@ -13,8 +15,9 @@ use std::path::PathBuf;
 
 #[derive(Debug, Args)]
 pub struct Import {
-    /// A clip with poses from another tool (COLMAP, nerfstudio, ViPE, MegaSaM, DyCheck, NVIDIA, Record3D), which becomes a capture; or a .4dgs
-    /// file or a 3DGS PLY file, which becomes a scene
+    /// A clip with poses from another tool (COLMAP, nerfstudio, ViPE, MegaSaM, DyCheck, NVIDIA,
+    /// Record3D), which becomes a capture; or a .4dgs file or a 3DGS PLY file, which becomes a
+    /// scene
     #[arg(value_name = "SOURCE")]
     pub file: PathBuf,
     /// Folder for the capture, or for the scene (with the layout of a run)
@@ -29,14 +32,15 @@ pub struct Import {
     /// Folder of images or a video, if they are not where the format expects them
     #[arg(long, value_name = "PATH")]
     pub images: Option<PathBuf>,
-    /// Depth maps that replace those of the source: a folder with one file per frame (16-bit PNG in steps
-    /// of 0.001 scene units, EXR, npy)
+    /// Depth maps that replace those of the source: a folder with one file per frame (16-bit PNG in
+    /// steps of 0.001 scene units, EXR, npy)
     #[arg(long, value_name = "PATH")]
     pub depth: Option<PathBuf>,
     /// Masks of dynamic regions that replace those of the source: a folder with one PNG per frame
     #[arg(long, value_name = "PATH")]
     pub masks: Option<PathBuf>,
-    /// Downscaling factor of a data set's images, such as 2 for DyCheck's rgb/2x [default: that of the protocols]
+    /// Downscaling factor of a data set's images, such as 2 for DyCheck's rgb/2x [default: that of
+    /// the protocols]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub factor: Option<u32>,
     /// Replace the results of an earlier import in the folder; other files are kept
@@ -49,7 +53,11 @@ pub struct Import {
 impl Import {
     fn job(&self) -> ImportJob {
         ImportJob {
-            existing: if self.force { Existing::Force } else { Existing::Refuse },
+            existing: if self.force {
+                Existing::Force
+            } else {
+                Existing::Refuse
+            },
             options: ImportOptions {
                 fps: self.fps,
                 images: self.images.clone(),
@@ -70,7 +78,10 @@ pub fn import(args: &Import, output: &Output) -> Result<(), Failure> {
         Report::Scene(scene) => output.note(&of_scene(scene)),
         Report::Capture(capture) => output.note(&of_capture(capture)),
     }
-    output.result(&args.out.display().to_string(), minute4d::plain_json(&report)?);
+    output.result(
+        &args.out.display().to_string(),
+        minute4d::plain_json(&report)?,
+    );
     Ok(())
 }
 
@@ -111,14 +122,16 @@ fn of_capture(report: &CaptureReport) -> String {
 pub struct Export {
     /// The folder of a run or a scene file; for colmap a capture
     pub scene: PathBuf,
-    /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, ftgs, splatv: the whole clip; ply, spz, gltf: one
-    /// instant; ply-sequence: one file per frame; colmap: cameras, images, masks and points of a capture
+    /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, ftgs, splatv: the whole
+    /// clip; ply, spz, gltf: one instant; ply-sequence: one file per frame; colmap: cameras,
+    /// images, masks and points of a capture
     #[arg(long, value_name = "FORMAT")]
     pub format: Option<Format>,
     /// Output file, or folder for a sequence [default: scene.EXTENSION next to the scene]
     #[arg(long, short, value_name = "PATH")]
     pub out: Option<PathBuf>,
-    /// Instant for formats that hold one: a frame number, or seconds with the suffix `s`, as in 1.5s [default: the middle]
+    /// Instant for formats that hold one: a frame number, or seconds with the suffix `s`, as in
+    /// 1.5s [default: the middle]
     #[arg(long, value_name = "T")]
     pub time: Option<String>,
     /// Files per second for a sequence [default: the rate of the source]
@@ -133,8 +146,10 @@ pub struct Export {
 
 pub fn export(args: &Export, output: &Output) -> Result<(), Failure> {
     let named = args.out.as_deref().and_then(Format::of_path);
-    if let Some(other) =
-        args.out.as_deref().filter(|out| args.format.is_none() && named.is_none() && out.extension().is_some())
+    if let Some(other) = args
+        .out
+        .as_deref()
+        .filter(|out| args.format.is_none() && named.is_none() && out.extension().is_some())
     {
         let other = other.display();
         return Err(Failure::usage(&format!(
@@ -153,6 +168,9 @@ pub fn export(args: &Export, output: &Output) -> Result<(), Failure> {
     };
     let report = minute4d::export::make(&args.scene, &job, output)?;
     output.note(&report.to_string());
-    output.result(&report.path.display().to_string(), minute4d::plain_json(&report)?);
+    output.result(
+        &report.path.display().to_string(),
+        minute4d::plain_json(&report)?,
+    );
     Ok(())
 }

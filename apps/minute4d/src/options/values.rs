@@ -2,14 +2,17 @@
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
-/// Returns the parser of an option that has these values: each with its name, its line of help, and what it stands for.
+/// Returns the parser of an option that has these values: each with its name, its line of help, and
+/// what it stands for.
 pub fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
     values: [(&'static str, &'static str, T); N],
 ) -> impl TypedValueParser<Value = T> {
     let named = values.map(|(name, help, _)| PossibleValue::new(name).help(help));
     PossibleValuesParser::new(named).try_map(move |given| {
         let found = values.iter().find(|(name, ..)| *name == given);
-        found.map(|&(.., value)| value).ok_or("it is none of the possible values")
+        found
+            .map(|&(.., value)| value)
+            .ok_or("it is none of the possible values")
     })
 }
 
@@ -24,11 +27,13 @@ pub fn render_size(text: &str) -> Result<(usize, usize), String> {
 }
 
 fn size(text: &str, least: usize, most: usize) -> Result<(usize, usize), String> {
-    let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    let sides = text
+        .split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
     let fits = |side: &usize| (least..=most).contains(side);
-    sides
-        .filter(|(w, h)| fits(w) && fits(h))
-        .ok_or_else(|| format!("a size is WIDTHxHEIGHT, such as 480x360, each side {least} to {most}"))
+    sides.filter(|(w, h)| fits(w) && fits(h)).ok_or_else(|| {
+        format!("a size is WIDTHxHEIGHT, such as 480x360, each side {least} to {most}")
+    })
 }
 
 pub fn number(text: &str) -> Result<f64, String> {
@@ -41,22 +46,33 @@ pub fn number(text: &str) -> Result<f64, String> {
 /// Parses a number that has to pass a check; `reason` says what is allowed.
 fn checked(text: &str, check: impl FnOnce(f64) -> bool, reason: &str) -> Result<f64, String> {
     let value = number(text)?;
-    check(value).then_some(value).ok_or_else(|| reason.to_owned())
+    check(value)
+        .then_some(value)
+        .ok_or_else(|| reason.to_owned())
 }
 
 /// Parses seconds, at least 0, with an optional suffix `s`.
 pub fn seconds(text: &str) -> Result<f64, String> {
-    checked(text.strip_suffix('s').unwrap_or(text), |value| value >= 0.0, "it must be at least 0")
+    checked(
+        text.strip_suffix('s').unwrap_or(text),
+        |value| value >= 0.0,
+        "it must be at least 0",
+    )
 }
 
-/// Parses a duration above 0, in seconds or with a suffix `s`, `m` or `h`: 90, 90s, 10m, 1.5h. Returns seconds.
+/// Parses a duration above 0, in seconds or with a suffix `s`, `m` or `h`: 90, 90s, 10m, 1.5h.
+/// Returns seconds.
 pub fn duration(text: &str) -> Result<f64, String> {
     let units = [("h", 3600.0), ("m", 60.0), ("s", 1.0)];
-    let (digits, unit) =
-        units.into_iter().find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit))).unwrap_or((text, 1.0));
+    let (digits, unit) = units
+        .into_iter()
+        .find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit)))
+        .unwrap_or((text, 1.0));
     match positive(digits) {
         Ok(value) => Ok(value * unit),
-        Err(_) => Err(format!("{text:?} is not a duration above 0; write 90, 90s, 10m or 1.5h")),
+        Err(_) => Err(format!(
+            "{text:?} is not a duration above 0; write 90, 90s, 10m or 1.5h"
+        )),
     }
 }
 
@@ -67,7 +83,11 @@ pub fn degrees(text: &str) -> Result<f64, String> {
 
 /// Parses frames a second.
 pub fn rate(text: &str) -> Result<f64, String> {
-    checked(text, |value| (0.1..=240.0).contains(&value), "it must lie between 0.1 and 240")
+    checked(
+        text,
+        |value| (0.1..=240.0).contains(&value),
+        "it must lie between 0.1 and 240",
+    )
 }
 
 fn positive(text: &str) -> Result<f64, String> {

@@ -49,7 +49,12 @@ impl Output {
         } else {
             Mode::Lines(Lines::default())
         };
-        Arc::new(Self { mode, stop, warned: Mutex::new(Vec::new()), memory: FreedMemory::default() })
+        Arc::new(Self {
+            mode,
+            stop,
+            warned: Mutex::new(Vec::new()),
+            memory: FreedMemory::default(),
+        })
     }
 
     /// Returns the signal to stop.
@@ -68,7 +73,8 @@ impl Output {
         }
     }
 
-    /// Reports the address of the viewer page during work: an event, or a line on stderr even with `--quiet`.
+    /// Reports the address of the viewer page during work: an event, or a line on stderr even with
+    /// `--quiet`.
     pub fn address(&self, url: &str) {
         match &self.mode {
             Mode::Json(events) => events.emit("view", &[("url", url.into())]),
@@ -93,8 +99,8 @@ impl Output {
         }
     }
 
-    /// Writes the last event of `--json`, and the reason of a failure on stderr; returns the exit code, which is another one where the
-    /// result or this event was not delivered.
+    /// Writes the last event of `--json`, and the reason of a failure on stderr; returns the exit
+    /// code, which is another one where the result or this event was not delivered.
     pub fn end(&self, code: u8, reason: &str) -> u8 {
         let (code, reason) = delivery(code, reason);
         match &self.mode {
@@ -164,10 +170,16 @@ impl Observer for Output {
         }
         match event {
             StageEvent::Started { because: None } => self.say(&format!("{name}: started")),
-            StageEvent::Started { because: Some(why) } => self.say(&format!("{name}: started again: {why}")),
-            StageEvent::Resumed { done, total } => self.say(&format!("{name}: resumed at {done} of {total}")),
+            StageEvent::Started { because: Some(why) } => {
+                self.say(&format!("{name}: started again: {why}"))
+            }
+            StageEvent::Resumed { done, total } => {
+                self.say(&format!("{name}: resumed at {done} of {total}"))
+            }
             StageEvent::Reused => self.say(&format!("{name}: already done, nothing changed")),
-            StageEvent::Finished { seconds } => self.say(&format!("{name}: done in {}", duration(seconds))),
+            StageEvent::Finished { seconds } => {
+                self.say(&format!("{name}: done in {}", duration(seconds)))
+            }
             _ => {}
         }
     }
@@ -193,7 +205,10 @@ pub fn duration(seconds: f64) -> String {
 
 /// Prints a result to stdout, with a line feed at its end.
 fn print_result(text: &str) {
-    text::to_stdout(&format!("{}\n", text::visible(text.strip_suffix('\n').unwrap_or(text))));
+    text::to_stdout(&format!(
+        "{}\n",
+        text::visible(text.strip_suffix('\n').unwrap_or(text))
+    ));
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
-//! Progress: the events of `--json` (one object per line, with exactly one `end`, which is the last), one bar for the current phase on a
-//! terminal, or one line every ten seconds.
+//! Progress: the events of `--json` (one object per line, with exactly one `end`, which is the
+//! last), one bar for the current phase on a terminal, or one line every ten seconds.
 
 use super::duration;
 use super::text::{to_stdout, visible_json, visible_line};
@@ -35,7 +35,10 @@ impl Phase {
     /// Estimates the seconds to the end; `None` before the first step.
     fn eta_s(&self, now: Instant, done: usize, total: usize) -> Option<f64> {
         let elapsed_s = now.saturating_duration_since(self.started).as_secs_f64();
-        let (done, left) = (done.saturating_sub(self.first_done), total.saturating_sub(done));
+        let (done, left) = (
+            done.saturating_sub(self.first_done),
+            total.saturating_sub(done),
+        );
         (done > 0).then(|| elapsed_s / done as f64 * left as f64)
     }
 }
@@ -75,7 +78,14 @@ impl Events {
                 entry.eta_s(now, done, total)
             }
             None => {
-                state.phases.insert(phase.to_owned(), Phase { started: now, first_done: done, last: now });
+                state.phases.insert(
+                    phase.to_owned(),
+                    Phase {
+                        started: now,
+                        first_done: done,
+                        last: now,
+                    },
+                );
                 None
             }
         };
@@ -97,10 +107,16 @@ impl Events {
         let more = match event {
             StageEvent::Started { because } => vec![status("started"), ("because", json!(because))],
             StageEvent::Resumed { done, total } => {
-                vec![status("resumed"), ("done", json!(done)), ("total", json!(total))]
+                vec![
+                    status("resumed"),
+                    ("done", json!(done)),
+                    ("total", json!(total)),
+                ]
             }
             StageEvent::Reused => vec![status("reused")],
-            StageEvent::Finished { seconds } => vec![status("finished"), ("seconds", json!(seconds))],
+            StageEvent::Finished { seconds } => {
+                vec![status("finished"), ("seconds", json!(seconds))]
+            }
             _ => return,
         };
         let mut fields = vec![("stage", Value::from(name))];
@@ -125,14 +141,24 @@ pub fn end_of_json(code: u8, reason: &str) {
 }
 
 fn write_end(code: u8, reason: &str) {
-    let fields = [("ok", json!(code == 0)), ("code", json!(code)), ("reason", json!(reason))];
+    let fields = [
+        ("ok", json!(code == 0)),
+        ("code", json!(code)),
+        ("reason", json!(reason)),
+    ];
     write_line("end", &fields);
 }
 
 /// Writes one event. The object is assembled by hand so that the event's name comes first.
 fn write_line(event: &str, fields: &[(&str, Value)]) {
-    let fields = fields.iter().map(|(name, value)| format!(",{}:{value}", Value::from(*name)));
-    let line = format!("{{\"event\":{}{}}}\n", Value::from(event), fields.collect::<String>());
+    let fields = fields
+        .iter()
+        .map(|(name, value)| format!(",{}:{value}", Value::from(*name)));
+    let line = format!(
+        "{{\"event\":{}{}}}\n",
+        Value::from(event),
+        fields.collect::<String>()
+    );
     // If the reader has closed the pipe, the work continues without events.
     to_stdout(&visible_json(&line));
 }
@@ -147,7 +173,9 @@ impl Bars {
             if let Some((_, old)) = current.take() {
                 old.finish_and_clear();
             }
-            let bar = ProgressBar::new(total as u64).with_style(style()).with_prefix(visible_line(phase).into_owned());
+            let bar = ProgressBar::new(total as u64)
+                .with_style(style())
+                .with_prefix(visible_line(phase).into_owned());
             bar.set_position(done as u64);
             bar.reset_eta();
             bar.enable_steady_tick(Duration::from_millis(200));
@@ -177,9 +205,11 @@ impl Bars {
 
 /// Returns the style of the bar, without colours, so that `NO_COLOR` needs no handling.
 fn style() -> ProgressStyle {
-    ProgressStyle::with_template("{prefix:>12} [{bar:28}] {pos}/{len}  {elapsed} elapsed, {eta} left  {wide_msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
-        .progress_chars("=> ")
+    ProgressStyle::with_template(
+        "{prefix:>12} [{bar:28}] {pos}/{len}  {elapsed} elapsed, {eta} left  {wide_msg}",
+    )
+    .unwrap_or_else(|_| ProgressStyle::default_bar())
+    .progress_chars("=> ")
 }
 
 #[derive(Default)]
@@ -191,11 +221,25 @@ impl Lines {
         self.at(Instant::now(), phase, done, total, note)
     }
 
-    fn at(&self, now: Instant, phase: &str, done: usize, total: usize, note: &str) -> Option<String> {
+    fn at(
+        &self,
+        now: Instant,
+        phase: &str,
+        done: usize,
+        total: usize,
+        note: &str,
+    ) -> Option<String> {
         let mut current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if current.as_ref().is_none_or(|(name, _)| name != phase) {
             let last = current.as_ref().map_or(now, |(_, before)| before.last);
-            *current = Some((phase.to_owned(), Phase { started: now, first_done: done, last }));
+            *current = Some((
+                phase.to_owned(),
+                Phase {
+                    started: now,
+                    first_done: done,
+                    last,
+                },
+            ));
         }
         let (_, entry) = current.as_mut()?;
         if now.saturating_duration_since(entry.last) < LINE_INTERVAL {
@@ -223,10 +267,21 @@ mod tests {
     #[test]
     fn progress_prints_every_ten_seconds_with_the_remaining_time() {
         let (lines, start) = (Lines::default(), Instant::now());
-        let at = |s: u64, done| lines.at(start + Duration::from_secs(s), "train", done, 100, "loss 0.1");
+        let at = |s: u64, done| {
+            lines.at(
+                start + Duration::from_secs(s),
+                "train",
+                done,
+                100,
+                "loss 0.1",
+            )
+        };
         assert_eq!(at(0, 0), None);
         assert_eq!(at(9, 9), None);
-        assert_eq!(at(10, 10).as_deref(), Some("train: 10/100 (10 %), 1m30s left, loss 0.1"));
+        assert_eq!(
+            at(10, 10).as_deref(),
+            Some("train: 10/100 (10 %), 1m30s left, loss 0.1")
+        );
         assert_eq!(at(19, 20), None);
         assert!(at(20, 50).is_some_and(|l| l.contains("50/100 (50 %), 20.0 s left")));
     }
@@ -236,7 +291,9 @@ mod tests {
         let (lines, start) = (Lines::default(), Instant::now());
         let printed = (0..100u64).filter(|&s| {
             let phase = format!("phase {s}");
-            lines.at(start + Duration::from_secs(s), &phase, 1, 1, "").is_some()
+            lines
+                .at(start + Duration::from_secs(s), &phase, 1, 1, "")
+                .is_some()
         });
         assert_eq!(printed.count(), 9);
     }

@@ -41,8 +41,8 @@ impl StopSignal {
         self.idle.store(true, Ordering::SeqCst);
     }
 
-    /// From now on a repeated SIGTERM does not end the program at once: batch engines send it to every process of a task,
-    /// and scripts forward it. SIGKILL still ends the program.
+    /// From now on a repeated SIGTERM does not end the program at once: batch engines send it to
+    /// every process of a task, and scripts forward it. SIGKILL still ends the program.
     pub fn of_an_engine(&self) {
         self.engine.store(true, Ordering::SeqCst);
     }
@@ -61,12 +61,14 @@ impl StopSignal {
     /// Records a request to stop that is never urgent.
     fn ask(&self, code: u8) {
         // The first request determines the exit code.
-        let _ = self.code.compare_exchange(0, code, Ordering::SeqCst, Ordering::SeqCst);
+        let _ = self
+            .code
+            .compare_exchange(0, code, Ordering::SeqCst, Ordering::SeqCst);
     }
 }
 
-/// Asks to stop, as SIGTERM does, when standard input ends, which means that the parent process closed it or died. A
-/// signal that an engine sends in addition still counts as the first one.
+/// Asks to stop, as SIGTERM does, when standard input ends, which means that the parent process
+/// closed it or died. A signal that an engine sends in addition still counts as the first one.
 pub fn stop_at_eof(output: &Arc<Output>) {
     let stop = output.stop().clone();
     std::thread::spawn(move || {
@@ -133,16 +135,26 @@ mod tests {
         stop.ask(143);
         assert_eq!(stop.request(130), Answer::Save, "the first signal");
         assert_eq!(stop.code(), Some(143));
-        assert_eq!(stop.request(130), Answer::End, "the second ends the program");
+        assert_eq!(
+            stop.request(130),
+            Answer::End,
+            "the second ends the program"
+        );
     }
 
     #[test]
     fn second_sigterm_of_an_engine_is_ignored() {
         let stop = StopSignal::default();
-        assert_eq!((stop.request(143), stop.request(143)), (Answer::Save, Answer::End));
+        assert_eq!(
+            (stop.request(143), stop.request(143)),
+            (Answer::Save, Answer::End)
+        );
         let stop = StopSignal::default();
         stop.of_an_engine();
-        assert_eq!((stop.request(143), stop.request(143)), (Answer::Save, Answer::Known));
+        assert_eq!(
+            (stop.request(143), stop.request(143)),
+            (Answer::Save, Answer::Known)
+        );
         assert_eq!(stop.request(130), Answer::End, "Ctrl-C is always urgent");
     }
 }

@@ -1,12 +1,14 @@
-//! Text on its way to a terminal or a pipe: what names and files brought in is made visible, and what could not be delivered is remembered.
+//! Text on its way to a terminal or a pipe: what names and files brought in is made visible, and
+//! what could not be delivered is remembered.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write};
 use std::sync::OnceLock;
 
-/// Returns the text with every character that acts on a terminal as a visible escape: controls but line feed and tab, and those
-/// that reverse the order of letters. Results with exact names are those of `--json`.
+/// Returns the text with every character that acts on a terminal as a visible escape: controls but
+/// line feed and tab, and those that reverse the order of letters. Results with exact names are
+/// those of `--json`.
 pub fn visible(text: &str) -> Cow<'_, str> {
     if !text.contains(acts) {
         return text.into();
@@ -29,7 +31,8 @@ pub fn visible_line(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// Returns a line of JSON with the characters of [`visible`] as escapes of JSON: serde writes those above U+001F as they are.
+/// Returns a line of JSON with the characters of [`visible`] as escapes of JSON: serde writes those
+/// above U+001F as they are.
 pub fn visible_json(line: &str) -> Cow<'_, str> {
     if !line.contains(acts) {
         return line.into();
@@ -55,10 +58,15 @@ fn acts(c: char) -> bool {
 /// The first failure of standard output.
 static LOST: OnceLock<String> = OnceLock::new();
 
-/// Writes to standard output at once. A reader that closed the pipe wants no more; any other failure is remembered for [`lost`].
+/// Writes to standard output at once. A reader that closed the pipe wants no more; any other
+/// failure is remembered for [`lost`].
 pub fn to_stdout(text: &str) {
     let mut stdout = std::io::stdout().lock();
-    delivered(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()));
+    delivered(
+        stdout
+            .write_all(text.as_bytes())
+            .and_then(|()| stdout.flush()),
+    );
 }
 
 /// Remembers the failure of a write to standard output.
@@ -98,7 +106,13 @@ mod tests {
     fn json_keeps_its_meaning() {
         let value = serde_json::json!({"name": "a\x1b\x7f\u{9b}\u{202e}ü\n"});
         let line = visible_json(&value.to_string()).into_owned();
-        assert!(line.chars().all(|c| !c.is_control() && c != '\u{202e}'), "{line:?}");
-        assert_eq!(serde_json::from_str::<serde_json::Value>(&line).unwrap(), value);
+        assert!(
+            line.chars().all(|c| !c.is_control() && c != '\u{202e}'),
+            "{line:?}"
+        );
+        assert_eq!(
+            serde_json::from_str::<serde_json::Value>(&line).unwrap(),
+            value
+        );
     }
 }

@@ -25,11 +25,15 @@ pub(super) struct Checkpoints {
 impl Checkpoints {
     /// Those in `folder` that belong to the stage with this key.
     pub fn new(folder: &Path, key: &str, keep: usize) -> Self {
-        Self { folder: folder.to_path_buf(), key: key.to_owned(), keep: keep.max(1) }
+        Self {
+            folder: folder.to_path_buf(),
+            key: key.to_owned(),
+            keep: keep.max(1),
+        }
     }
 
-    /// A trainer that resumes from the newest checkpoint that can be read and belongs to this stage.
-    /// Warns about checkpoints that cannot be used.
+    /// A trainer that resumes from the newest checkpoint that can be read and belongs to this
+    /// stage. Warns about checkpoints that cannot be used.
     pub fn latest<'a>(
         &self,
         capture: &'a Capture,
@@ -45,22 +49,37 @@ impl Checkpoints {
                     continue;
                 }
             };
-            let SceneFile { scene, state: Some(state), metadata, .. } = file else {
+            let SceneFile {
+                scene,
+                state: Some(state),
+                metadata,
+                ..
+            } = file
+            else {
                 continue;
             };
             if metadata.get(KEY) != Some(&self.key) {
                 continue;
             }
-            return Ok(Some(Trainer::resume(capture, scene.splats, &state, config.clone(), level)?));
+            return Ok(Some(Trainer::resume(
+                capture,
+                scene.splats,
+                &state,
+                config.clone(),
+                level,
+            )?));
         }
         Ok(None)
     }
 
-    /// Saves, then removes all but the newest. Where the disk is full, all but the newest make room.
+    /// Saves, then removes all but the newest. Where the disk is full, all but the newest make
+    /// room.
     pub fn save(&mut self, trainer: &mut Trainer<'_>) -> Result<(), Error> {
         let path = folder::checkpoint_file(&self.folder, trainer.iteration());
         let metadata = BTreeMap::from([(KEY.to_owned(), self.key.clone())]);
-        let mut write = || trainer.save(|scene, state| safetensors::write(&path, scene, Some(state), &metadata));
+        let mut write = || {
+            trainer.save(|scene, state| safetensors::write(&path, scene, Some(state), &metadata))
+        };
         if let Err(error) = write() {
             if !error.wants_room() {
                 return Err(error.into());
@@ -91,14 +110,22 @@ pub(super) struct MetricsLog {
 impl MetricsLog {
     /// An empty log.
     pub fn new(path: &Path) -> Self {
-        Self { path: path.to_path_buf(), lines: Vec::new() }
+        Self {
+            path: path.to_path_buf(),
+            lines: Vec::new(),
+        }
     }
 
     /// The log of an interrupted run, up to the iteration that was saved.
     pub fn up_to(path: &Path, iteration: usize) -> Self {
         let text = files::read_text(path, MAX_RECORD_BYTES).unwrap_or_default();
-        let kept = |line: &&str| serde_json::from_str::<MetricsEvent>(line).is_ok_and(|e| e.iteration <= iteration);
-        Self { path: path.to_path_buf(), lines: text.lines().filter(kept).map(str::to_owned).collect() }
+        let kept = |line: &&str| {
+            serde_json::from_str::<MetricsEvent>(line).is_ok_and(|e| e.iteration <= iteration)
+        };
+        Self {
+            path: path.to_path_buf(),
+            lines: text.lines().filter(kept).map(str::to_owned).collect(),
+        }
     }
 
     /// Adds an event.
@@ -110,8 +137,15 @@ impl MetricsLog {
 
     /// Writes the file, whole or not at all.
     pub fn write(&self) -> Result<(), Error> {
-        let text: String = self.lines.iter().flat_map(|line| [line.as_str(), "\n"]).collect();
-        atomic::write(&self.path, text.as_bytes()).map_err(|source| Error::Write { path: self.path.clone(), source })
+        let text: String = self
+            .lines
+            .iter()
+            .flat_map(|line| [line.as_str(), "\n"])
+            .collect();
+        atomic::write(&self.path, text.as_bytes()).map_err(|source| Error::Write {
+            path: self.path.clone(),
+            source,
+        })
     }
 }
 
@@ -141,7 +175,11 @@ mod tests {
         let path = dir.path().join("metrics.jsonl");
         let mut log = MetricsLog::new(&path);
         log.write().unwrap();
-        assert_eq!(std::fs::read(&path).unwrap(), b"", "no line without an event");
+        assert_eq!(
+            std::fs::read(&path).unwrap(),
+            b"",
+            "no line without an event"
+        );
         for i in [50, 100, 150] {
             log.push(&event(i));
         }
@@ -150,8 +188,10 @@ mod tests {
         resumed.push(&event(150));
         resumed.write().unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
-        let found: Vec<usize> =
-            text.lines().map(|l| serde_json::from_str::<MetricsEvent>(l).unwrap().iteration).collect();
+        let found: Vec<usize> = text
+            .lines()
+            .map(|l| serde_json::from_str::<MetricsEvent>(l).unwrap().iteration)
+            .collect();
         assert_eq!(found, [50, 100, 150]);
     }
 }

@@ -3,7 +3,8 @@
 use minute4d::{Error, Settings};
 use std::time::{Duration, Instant};
 
-/// Reserve for reading back, page and preview: share of the time left when training starts, and its maximum in seconds.
+/// Reserve for reading back, page and preview: share of the time left when training starts, and its
+/// maximum in seconds.
 const RESERVE: f64 = 0.25;
 const MOST_RESERVE_S: f64 = 120.0;
 
@@ -18,8 +19,13 @@ impl Clock {
     /// Starts now.
     pub fn start(settings: &Settings) -> Self {
         let seconds = settings.limit.time_s;
-        let limit = Duration::try_from_secs_f64(seconds).ok().filter(|_| seconds > 0.0);
-        Self { started: Instant::now(), limit }
+        let limit = Duration::try_from_secs_f64(seconds)
+            .ok()
+            .filter(|_| seconds > 0.0);
+        Self {
+            started: Instant::now(),
+            limit,
+        }
     }
 
     /// Returns the end of the time limit.
@@ -34,7 +40,10 @@ impl Clock {
 
     /// Returns the time by which training that starts now must end.
     pub fn end_of_training(&self) -> Option<Instant> {
-        let left_s = self.end()?.saturating_duration_since(Instant::now()).as_secs_f64();
+        let left_s = self
+            .end()?
+            .saturating_duration_since(Instant::now())
+            .as_secs_f64();
         let reserve_s = (RESERVE * left_s).min(MOST_RESERVE_S);
         Some(Instant::now() + Duration::from_secs_f64(left_s - reserve_s))
     }
@@ -43,7 +52,10 @@ impl Clock {
     pub fn blame(&self, error: Error, stage: &'static str, asked_to_stop: bool) -> Error {
         match self.limit {
             Some(limit) if error.is_stop() && !asked_to_stop && self.is_over() => {
-                Error::TimeLimit { stage, seconds: limit.as_secs_f64() }
+                Error::TimeLimit {
+                    stage,
+                    seconds: limit.as_secs_f64(),
+                }
             }
             _ => error,
         }
@@ -79,10 +91,22 @@ mod tests {
 
     #[test]
     fn stop_without_a_request_is_the_time_limit() {
-        let stop = || Error::Stopped { stage: "geometry", saved: true };
+        let stop = || Error::Stopped {
+            stage: "geometry",
+            saved: true,
+        };
         let over = clock(1e-9);
-        assert_eq!(over.blame(stop(), "geometry", false).category(), Category::TryAgain);
-        assert_eq!(over.blame(stop(), "geometry", true).category(), Category::Stopped);
-        assert_eq!(clock(1000.0).blame(stop(), "geometry", false).category(), Category::Stopped);
+        assert_eq!(
+            over.blame(stop(), "geometry", false).category(),
+            Category::TryAgain
+        );
+        assert_eq!(
+            over.blame(stop(), "geometry", true).category(),
+            Category::Stopped
+        );
+        assert_eq!(
+            clock(1000.0).blame(stop(), "geometry", false).category(),
+            Category::Stopped
+        );
     }
 }

@@ -50,14 +50,18 @@ struct Part<'a> {
     networks: &'a [UsedNetwork],
 }
 
-/// Reads the capture `input`, refines its masks, follows points in them, and writes a capture into the folder `out`.
+/// Reads the capture `input`, refines its masks, follows points in them, and writes a capture into
+/// the folder `out`.
 ///
 /// # Errors
 ///
 /// [`Error`]: the capture cannot be read or says nothing of the dynamic part, weights are missing, the folder cannot be used, or the user stops.
 pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Error> {
     if !input.exists() {
-        return Err(Error::Missing { what: "capture", path: input.to_path_buf() });
+        return Err(Error::Missing {
+            what: "capture",
+            path: input.to_path_buf(),
+        });
     }
     let settings = &job.settings;
     let (segmenter, tracker) = (settings.geometry.segmenter, settings.geometry.tracker);
@@ -77,18 +81,41 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         networks: &plan.used,
     };
     let part = plain_json(&part)?;
-    let source = Input { path: input.display().to_string(), blake3: hash::of_capture(&capture) };
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part.to_string()]);
+    let source = Input {
+        path: input.display().to_string(),
+        blake3: hash::of_capture(&capture),
+    };
+    let key = hash::of_parts(&[
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        &source.blake3,
+        &part.to_string(),
+    ]);
     let mut record = GeometryRecord::begin(source, key, part);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = recorder.warnings();
     let before = enhance::moving_share(&capture);
-    let list = if input.is_dir() { input } else { input.parent().unwrap_or(input) };
-    let images: Vec<PathBuf> = capture.frames.iter().map(|frame| list.join(&frame.name)).collect();
-    let inputs: Vec<&Path> = [input].into_iter().chain(images.iter().map(PathBuf::as_path)).collect();
+    let list = if input.is_dir() {
+        input
+    } else {
+        input.parent().unwrap_or(input)
+    };
+    let images: Vec<PathBuf> = capture
+        .frames
+        .iter()
+        .map(|frame| list.join(&frame.name))
+        .collect();
+    let inputs: Vec<&Path> = [input]
+        .into_iter()
+        .chain(images.iter().map(PathBuf::as_path))
+        .collect();
     let mut folder = CaptureFolder::open(out, job.existing, record, &inputs, job.observer)?;
     let (capture, found) = folder.stage(STAGE, |folder, steps| {
-        let device = if plan.has_network() { job.device.choice.for_networks()? } else { NetworkDevice::processor() };
+        let device = if plan.has_network() {
+            job.device.choice.for_networks()?
+        } else {
+            NetworkDevice::processor()
+        };
         let (capture, found) = enhance::apply(capture, &plan, settings, &device, steps)?;
         enhance::write(&folder.next(), &capture, found.as_ref(), steps.observer())?;
         Ok((capture, found))

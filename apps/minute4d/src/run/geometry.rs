@@ -19,26 +19,55 @@ pub const STAGE: &str = "geometry";
 /// [`Error`]: the input cannot be read, the folder cannot be used, or nothing can be reconstructed.
 pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
     if !input.exists() {
-        return Err(Error::Missing { what: "video or folder of images", path: input.to_path_buf() });
+        return Err(Error::Missing {
+            what: "video or folder of images",
+            path: input.to_path_buf(),
+        });
     }
     let blake3 = hash::of_input(input, Some(capture), job.observer)?;
-    of_source(input, Input { path: input.display().to_string(), blake3 }, capture, job)
+    of_source(
+        input,
+        Input {
+            path: input.display().to_string(),
+            blake3,
+        },
+        capture,
+        job,
+    )
 }
 
 /// The same of an `input` whose hash is in `source`.
-pub(crate) fn of_source(input: &Path, source: Input, capture: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
+pub(crate) fn of_source(
+    input: &Path,
+    source: Input,
+    capture: &Path,
+    job: &Job<'_>,
+) -> Result<GeometryRecord, Error> {
     let plan = Plan::new(&job.settings, job.device.choice)?;
     let part = plan.dependencies()?;
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &part_to_toml(&part)?]);
+    let key = hash::of_parts(&[
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        &source.blake3,
+        &part_to_toml(&part)?,
+    ]);
     let record = GeometryRecord::begin(source, key, plain_json(&part)?);
-    let inputs: Vec<&Path> = [input].into_iter().chain(job.settings.geometry.files()).collect();
+    let inputs: Vec<&Path> = [input]
+        .into_iter()
+        .chain(job.settings.geometry.files())
+        .collect();
     let mut folder = CaptureFolder::open(capture, job.existing, record, &inputs, job.observer)?;
     if let Some(earlier) = folder.reused(STAGE) {
         return Ok(earlier);
     }
     folder.stage(STAGE, |folder, steps| {
         let made = compute(input, &plan, steps)?;
-        enhance::write(&folder.next(), &made.capture, made.objects.as_ref(), steps.observer())?;
+        enhance::write(
+            &folder.next(),
+            &made.capture,
+            made.objects.as_ref(),
+            steps.observer(),
+        )?;
         folder.record.found = Some(made.summary);
         Ok(())
     })?;

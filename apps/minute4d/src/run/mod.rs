@@ -1,4 +1,5 @@
-//! The whole pipeline in the folder of a run: stages, their records, checkpoints and results, each on disk.
+//! The whole pipeline in the folder of a run: stages, their records, checkpoints and results, each
+//! on disk.
 
 mod checkpoint;
 mod clock;
@@ -26,8 +27,8 @@ use record::{Input, RunRecord, StageRecord};
 use std::path::Path;
 use workspace::Workspace;
 
-/// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run are reused
-/// with [`Existing::Resume`].
+/// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run
+/// are reused with [`Existing::Resume`].
 ///
 /// # Errors
 ///
@@ -43,11 +44,17 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         return train::make(input, out, job);
     }
     if !input.exists() {
-        return Err(Error::Missing { what: "video, folder of images or capture", path: input.to_path_buf() });
+        return Err(Error::Missing {
+            what: "video, folder of images or capture",
+            path: input.to_path_buf(),
+        });
     }
     job.check()?;
     let clock = Clock::start(&job.settings);
-    let source = Input { path: input.display().to_string(), blake3: hash::of_input(input, Some(out), job.observer)? };
+    let source = Input {
+        path: input.display().to_string(),
+        blake3: hash::of_input(input, Some(out), job.observer)?,
+    };
     Workspace::open(out, input, source.clone(), job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
         let recorder = RecordingObserver::new(job.observer).until(clock.end());
@@ -79,9 +86,15 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// The job of the geometry stage of a run: the same settings and device, which its networks use too.
+    /// The job of the geometry stage of a run: the same settings and device, which its networks use
+    /// too.
     fn of_geometry<'a>(&self, observer: &'a dyn Observer) -> Job<'a> {
-        Job { settings: self.settings.clone(), device: self.device, existing: Existing::Resume, observer }
+        Job {
+            settings: self.settings.clone(),
+            device: self.device,
+            existing: Existing::Resume,
+            observer,
+        }
     }
 
     /// Refuses settings that no stage can use, before any of them starts.
@@ -96,12 +109,19 @@ impl Job<'_> {
 /// # Errors
 ///
 /// [`Error::Internal`] if the system gives no threads.
-pub fn with_threads<R: Send>(threads: Option<usize>, f: impl FnOnce() -> R + Send) -> Result<R, Error> {
-    let Some(threads) = threads else { return Ok(f()) };
+pub fn with_threads<R: Send>(
+    threads: Option<usize>,
+    f: impl FnOnce() -> R + Send,
+) -> Result<R, Error> {
+    let Some(threads) = threads else {
+        return Ok(f());
+    };
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
-        .map_err(|e| Error::Internal { what: format!("cannot start {threads} threads: {e}") })?;
+        .map_err(|e| Error::Internal {
+            what: format!("cannot start {threads} threads: {e}"),
+        })?;
     Ok(pool.install(f))
 }
 
@@ -119,8 +139,16 @@ mod tests {
     #[test]
     fn networks_of_a_run_use_the_device_that_was_asked_for() {
         let device = DeviceChoice::Gpu(Some(1)).into();
-        let job = Job { settings: Settings::fast(), device, existing: Existing::Refuse, observer: &Silent };
+        let job = Job {
+            settings: Settings::fast(),
+            device,
+            existing: Existing::Refuse,
+            observer: &Silent,
+        };
         let of_geometry = job.of_geometry(&Silent);
-        assert_eq!((of_geometry.device, of_geometry.existing), (device, Existing::Resume));
+        assert_eq!(
+            (of_geometry.device, of_geometry.existing),
+            (device, Existing::Resume)
+        );
     }
 }

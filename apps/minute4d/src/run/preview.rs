@@ -1,10 +1,12 @@
-//! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side; and `poster.jpg`: a frame and its re-render, for
-//! overviews of many clips.
+//! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side; and
+//! `poster.jpg`: a frame and its re-render, for overviews of many clips.
 
 use super::train;
 use crate::run::record::{FileRecord, RUN_FILE, RunRecord};
 use crate::run::workspace::{Task, Workspace};
-use m4_core::{Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb};
+use m4_core::{
+    Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb,
+};
 use m4_io::image::write_rgb;
 use m4_io::results::Kind;
 use m4_io::scene::safetensors;
@@ -25,10 +27,24 @@ pub const STAGE: &str = "preview";
 const MIN_SECONDS: f64 = 4.0;
 
 /// Makes the preview within a run, unless that was done before.
-pub(crate) fn stage(run: &mut Workspace<'_>, capture: &HashedCapture, scene: &Scene) -> Result<(), Error> {
-    let scene_hash = run.record.files.get(SCENE_FILE).map_or("", |f| f.blake3.as_str());
+pub(crate) fn stage(
+    run: &mut Workspace<'_>,
+    capture: &HashedCapture,
+    scene: &Scene,
+) -> Result<(), Error> {
+    let scene_hash = run
+        .record
+        .files
+        .get(SCENE_FILE)
+        .map_or("", |f| f.blake3.as_str());
     let config = part_to_toml(&run.job.settings.preview)?;
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), scene_hash, &capture.hash, &config]);
+    let key = hash::of_parts(&[
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        scene_hash,
+        &capture.hash,
+        &config,
+    ]);
     let task = match run.task(STAGE, &key, &[PREVIEW_FILE])? {
         Task::Reuse => {
             run.job.observer.stage(STAGE, StageEvent::Reused);
@@ -37,12 +53,21 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &HashedCapture, scene: &Sc
         // A preview is computed again, so seconds of an earlier attempt do not count.
         Task::Work { because, .. } => (because, 0.0),
     };
-    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| draw(run, &capture.capture, scene, keeper))
+    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| {
+        draw(run, &capture.capture, scene, keeper)
+    })
 }
 
-fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &RecordingObserver<'_>) -> Result<(), Error> {
+fn draw(
+    run: &Workspace<'_>,
+    capture: &Capture,
+    scene: &Scene,
+    keeper: &RecordingObserver<'_>,
+) -> Result<(), Error> {
     let Some(first) = scene.source.first() else {
-        return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
+        return Err(Error::Internal {
+            what: "the scene has no source frames".to_owned(),
+        });
     };
     let size = panel_size(&first.camera, run.job.settings.preview.panel_px);
     let fps = source_fps(scene);
@@ -50,22 +75,40 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
 
     let still = &scene.source[scene.source.len() / 2];
     let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref(), keeper)?;
-    let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
+    let distance = renderer
+        .painter()
+        .median_depth(&still.camera, still.t)
+        .unwrap_or(1.0);
     let n = scene.source.len();
     let rounds = ((MIN_SECONDS * fps / n as f64).ceil() as usize).clamp(1, 100);
     let total = n * rounds;
     // At least one whole swing, and a whole number of them, so that the clip loops.
     let swings = (total as f64 / SWING_FRAMES as f64).round().max(1.0);
     let period_frames = (total as f64 / swings).round() as usize;
-    let cameras = swing(&still.camera.resized(size.0, size.1), distance, total, period_frames);
+    let cameras = swing(
+        &still.camera.resized(size.0, size.1),
+        distance,
+        total,
+        period_frames,
+    );
     let mut panels = |i: usize, camera: &Camera| -> Result<RgbImage, Error> {
         check_stop(keeper, STAGE, true)?;
         let source = &scene.source[i % n];
-        let photo = capture.frames.get(i % n).and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
-        let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
+        let photo = capture
+            .frames
+            .get(i % n)
+            .and_then(|f| resize_rgb(&f.rgb, size.0, size.1, ResizeFilter::Triangle));
+        let again = renderer.image(
+            &source.camera.resized(size.0, size.1),
+            source.t,
+            &source.exposure,
+        )?;
         let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
         keeper.update(STAGE, i + 1, total, "");
-        Ok(side_by_side(size, [photo.as_ref(), Some(&again), Some(&swung)]))
+        Ok(side_by_side(
+            size,
+            [photo.as_ref(), Some(&again), Some(&swung)],
+        ))
     };
     for (i, camera) in cameras.iter().enumerate() {
         writer.push(panels(i, camera)?)?;
@@ -86,27 +129,36 @@ pub const POSTER_FILE: &str = "poster.jpg";
 /// Longest side of each of the two images, pixels: a page of a thousand posters stays under 50 MB.
 const SIDE_PX: usize = 240;
 
-/// Makes the poster of a finished run of `input` and notes it in the run's record. The frame is the one that
-/// the preview freezes.
+/// Makes the poster of a finished run of `input` and notes it in the run's record. The frame is the
+/// one that the preview freezes.
 ///
 /// # Errors
 ///
-/// [`Error::Missing`] where the folder holds no run; [`Error`] where scene or capture cannot be read or nothing can be
-/// written.
+/// [`Error::Missing`] where the folder holds no run; [`Error`] where scene or capture cannot be
+/// read or nothing can be written.
 pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, Error> {
-    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::Missing { what: RUN_FILE, path: run.to_path_buf() })?;
+    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::Missing {
+        what: RUN_FILE,
+        path: run.to_path_buf(),
+    })?;
     // Warnings about the capture were given while the scene was made.
     let made = run.join(CAPTURE_FOLDER);
     let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
     let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
     let frame = scene.source.len() / 2;
     let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {
-        return Err(Error::Internal { what: "the scene has no source frames".to_owned() });
+        return Err(Error::Internal {
+            what: "the scene has no source frames".to_owned(),
+        });
     };
     let (width, height) = panel_size(&source.camera, SIDE_PX);
     let photo = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle);
     let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None, &Silent)?;
-    let again = renderer.image(&source.camera.resized(width, height), source.t, &source.exposure)?;
+    let again = renderer.image(
+        &source.camera.resized(width, height),
+        source.t,
+        &source.exposure,
+    )?;
     let mut both = Plane::filled(2 * width, height, [0; 3]);
     for y in 0..height {
         let row = both.row_mut(y);
@@ -118,7 +170,9 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     layout::claim(run, Kind::Run, &[POSTER_FILE])?;
     let path = run.join(POSTER_FILE);
     write_rgb(&path, &both)?;
-    record.files.insert(POSTER_FILE.to_owned(), FileRecord::of(&path)?);
+    record
+        .files
+        .insert(POSTER_FILE.to_owned(), FileRecord::of(&path)?);
     record.write(run)?;
     Ok(path)
 }
@@ -128,7 +182,8 @@ const GAP: usize = 4;
 /// The labels of the panels.
 const LABELS: [&str; 3] = ["SOURCE", "RE-RENDER", "FROZEN TIME"];
 
-/// Places panels of the same size side by side, with labels if they are wide enough; black where there is none.
+/// Places panels of the same size side by side, with labels if they are wide enough; black where
+/// there is none.
 fn side_by_side((width, height): (usize, usize), panels: [Option<&RgbImage>; 3]) -> RgbImage {
     let mut out = Plane::filled(3 * width + 2 * GAP, height, [0; 3]);
     for (i, panel) in panels.into_iter().enumerate() {
@@ -171,10 +226,14 @@ fn rows(letter: char) -> Option<[u8; 7]> {
     })
 }
 
-/// Writes `text` in white on a darkened strip whose top left corner is at `(x, y)`; what does not fit is cut off.
+/// Writes `text` in white on a darkened strip whose top left corner is at `(x, y)`; what does not
+/// fit is cut off.
 fn write_label(image: &mut RgbImage, x: usize, y: usize, text: &str) {
     let advance = (LETTER.0 + 1) * DOT;
-    let strip = (text.chars().count() * advance + 2 * DOT, (LETTER.1 + 2) * DOT);
+    let strip = (
+        text.chars().count() * advance + 2 * DOT,
+        (LETTER.1 + 2) * DOT,
+    );
     let (width, height) = image.size();
     for v in y..(y + strip.1).min(height) {
         for u in x..(x + strip.0).min(width) {
@@ -206,7 +265,10 @@ mod tests {
         let [red, blue] = [[255, 0, 0], [0, 0, 255]].map(|c| Plane::filled(8, 6, c));
         let out = side_by_side((8, 6), [Some(&red), None, Some(&blue)]);
         assert_eq!(out.size(), (24 + 2 * GAP, 6));
-        assert_eq!((out[(0, 0)], out[(12, 3)], out[(31, 5)]), ([255, 0, 0], [0; 3], [0, 0, 255]));
+        assert_eq!(
+            (out[(0, 0)], out[(12, 3)], out[(31, 5)]),
+            ([255, 0, 0], [0; 3], [0, 0, 255])
+        );
         assert_eq!(out[(9, 2)], [0; 3]);
     }
 
@@ -214,7 +276,10 @@ mod tests {
     fn every_letter_exists_and_is_cut_off_at_the_border() {
         let mut image = Plane::filled(40, 30, [90; 3]);
         write_label(&mut image, 0, 0, "T");
-        assert_eq!((image[(2, 2)], image[(2, 10)], image[(6, 10)]), ([255; 3], [30; 3], [255; 3]));
+        assert_eq!(
+            (image[(2, 2)], image[(2, 10)], image[(6, 10)]),
+            ([255; 3], [30; 3], [255; 3])
+        );
         assert_eq!(image[(39, 29)], [90; 3]);
         write_label(&mut image, 36, 26, "FROZEN TIME");
         for letter in LABELS.concat().chars().filter(|c| *c != ' ') {

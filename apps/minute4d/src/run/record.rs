@@ -55,7 +55,8 @@ pub struct StageRecord {
     pub done: bool,
     /// Wall-clock seconds, those before an interruption included.
     pub seconds: f64,
-    /// Peak memory of the process up to the end of the stage, bytes; `None` if the system does not report it.
+    /// Peak memory of the process up to the end of the stage, bytes; `None` if the system does not
+    /// report it.
     pub peak_memory_bytes: Option<u64>,
     /// Warnings for the user about the result.
     pub warnings: Vec<String>,
@@ -78,7 +79,8 @@ pub struct Device {
 }
 
 impl Device {
-    /// Describes this machine and the current thread pool, with the GPU if one is used for training.
+    /// Describes this machine and the current thread pool, with the GPU if one is used for
+    /// training.
     #[must_use]
     pub fn here(simd: m4_kernels::SimdLevel, gpu: Option<&str>) -> Self {
         Self {
@@ -141,8 +143,8 @@ pub struct RunRecord {
     pub settings: Value,
     /// The device.
     pub device: Device,
-    /// `bitwise`: the same input, settings, seed, SIMD level and GPU give the same bits on any number of
-    /// threads.
+    /// `bitwise`: the same input, settings, seed, SIMD level and GPU give the same bits on any
+    /// number of threads.
     pub determinism: String,
     /// By name: `geometry`, `train`, `preview`, `viewer`.
     pub stages: BTreeMap<String, StageRecord>,
@@ -196,8 +198,16 @@ impl RunRecord {
     /// [`Error::Write`].
     pub fn write(&mut self, folder: &Path) -> Result<(), Error> {
         self.seconds = self.stages.values().map(|s| s.seconds).sum();
-        self.warnings = self.stages.values().flat_map(|s| s.warnings.iter().cloned()).collect();
-        self.peak_memory_bytes = self.stages.values().filter_map(|s| s.peak_memory_bytes).max();
+        self.warnings = self
+            .stages
+            .values()
+            .flat_map(|s| s.warnings.iter().cloned())
+            .collect();
+        self.peak_memory_bytes = self
+            .stages
+            .values()
+            .filter_map(|s| s.peak_memory_bytes)
+            .max();
         write_json(&folder.join(RUN_FILE), self)
     }
 
@@ -207,7 +217,8 @@ impl RunRecord {
     ///
     /// [`Error::Read`] if there is a file that cannot be read.
     pub fn read(folder: &Path) -> Result<Option<Self>, Error> {
-        Ok(read_json::<Self>(&folder.join(RUN_FILE))?.filter(|r| r.format == RUN_FORMAT && r.version == VERSION))
+        Ok(read_json::<Self>(&folder.join(RUN_FILE))?
+            .filter(|r| r.format == RUN_FORMAT && r.version == VERSION))
     }
 }
 
@@ -281,7 +292,9 @@ impl GeometryRecord {
 #[must_use]
 pub fn peak_memory_bytes() -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib * 1024)
 }

@@ -32,8 +32,8 @@ pub(crate) struct Ended {
     pub warnings: Vec<String>,
 }
 
-/// Runs the work of a stage, and records its start and its end in `folder`. `because` says why an earlier result is not reused. A stop is
-/// returned as [`Error::Stopped`].
+/// Runs the work of a stage, and records its start and its end in `folder`. `because` says why an
+/// earlier result is not reused. A stop is returned as [`Error::Stopped`].
 pub(crate) fn run<'a, F: StageFolder<'a>, R>(
     folder: &mut F,
     stage: &'static str,
@@ -42,7 +42,10 @@ pub(crate) fn run<'a, F: StageFolder<'a>, R>(
 ) -> Result<R, Error> {
     let observer = folder.observer();
     observer.stage(stage, StageEvent::Started { because });
-    let (start, recorder) = (Instant::now(), RecordingObserver::new(observer).until(folder.until()));
+    let (start, recorder) = (
+        Instant::now(),
+        RecordingObserver::new(observer).until(folder.until()),
+    );
     folder.begin(stage)?;
     let outcome = work(folder, &recorder);
     let ended = Ended {

@@ -39,14 +39,20 @@ struct Part<'a> {
 /// [`Error`]: the capture cannot be used, the folder cannot be used, or the user asked to stop.
 pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
     if !capture.exists() {
-        return Err(Error::Missing { what: "capture", path: capture.to_path_buf() });
+        return Err(Error::Missing {
+            what: "capture",
+            path: capture.to_path_buf(),
+        });
     }
     job.check()?;
     let clock = Clock::start(&job.settings);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let data = read(capture, &job.settings, job.observer)?;
     let data = HashedCapture::new(data);
-    let input = Input { path: capture.display().to_string(), blake3: data.hash.clone() };
+    let input = Input {
+        path: capture.display().to_string(),
+        blake3: data.hash.clone(),
+    };
     Workspace::open(out, capture, input, job, clock)?.finish(|run| all(run, &data))
 }
 
@@ -56,28 +62,56 @@ pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<()
     let plan = viewer::plan(run, capture)?;
     let wanted = matches!(plan, viewer::Plan::Write { .. }) && !run.clock.is_over();
     // The page is made while the preview is drawn; a scene of an earlier run is packed now.
-    let packed = if wanted { packed.or_else(|| viewer::packed(run, &scene)) } else { None };
+    let packed = if wanted {
+        packed.or_else(|| viewer::packed(run, &scene))
+    } else {
+        None
+    };
     let (preview, page) = rayon::join(
         || run.if_there_is_time("a preview", |run| preview::stage(run, capture, &scene)),
-        || packed.map(|packed| viewer::Page::new(packed, &capture.capture, &scene)).transpose(),
+        || {
+            packed
+                .map(|packed| viewer::Page::new(packed, &capture.capture, &scene))
+                .transpose()
+        },
     );
     preview?;
     run.if_there_is_time("the page", |run| viewer::stage(run, plan, page?))
 }
 
 /// Reads the training frames of a capture.
-pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer) -> Result<Capture, Error> {
-    Ok(m4_io::capture::read(capture, Split::Train, &settings.capture, observer)?)
+pub(crate) fn read(
+    capture: &Path,
+    settings: &Settings,
+    observer: &dyn Observer,
+) -> Result<Capture, Error> {
+    Ok(m4_io::capture::read(
+        capture,
+        Split::Train,
+        &settings.capture,
+        observer,
+    )?)
 }
 
-/// Trains within a run, unless that was done before. Returns the scene, and the splats for its page where they were packed as well.
+/// Trains within a run, unless that was done before. Returns the scene, and the splats for its page
+/// where they were packed as well.
 pub(crate) fn stage(
     run: &mut Workspace<'_>,
     capture: &HashedCapture,
 ) -> Result<(Scene, Option<viewer::Packed>), Error> {
     let settings = &run.job.settings;
-    let part = part_to_toml(&Part { profile: settings.profile, init: &settings.init, train: &settings.train })?;
-    let mut parts = vec![STAGE, env!("CARGO_PKG_VERSION"), &capture.hash, run.level.name(), &part];
+    let part = part_to_toml(&Part {
+        profile: settings.profile,
+        init: &settings.init,
+        train: &settings.train,
+    })?;
+    let mut parts = vec![
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        &capture.hash,
+        run.level.name(),
+        &part,
+    ];
     // last digits are the device's own
     parts.extend(run.gpu.as_ref().map(OpenGpu::name));
     let key = hash::of_parts(&parts);
@@ -88,12 +122,17 @@ pub(crate) fn stage(
             run.job.observer.stage(STAGE, StageEvent::Reused);
             return Ok((safetensors::read(&run.path(SCENE_FILE))?.scene, None));
         }
-        Task::Work { because, seconds_before } => (because, seconds_before),
+        Task::Work {
+            because,
+            seconds_before,
+        } => (because, seconds_before),
     };
     let same_key = key.clone();
-    let made = run
-        .stage(STAGE, key, (because, seconds), &files, |run, keeper| train(run, &capture.capture, &same_key, keeper))?;
-    // Only now: until the record says that the scene is whole, they are what a killed run continues from.
+    let made = run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
+        train(run, &capture.capture, &same_key, keeper)
+    })?;
+    // Only now: until the record says that the scene is whole, they are what a killed run continues
+    // from.
     folder::remove_checkpoints(&run.folder)?;
     Ok(made)
 }
@@ -164,7 +203,8 @@ impl TrainStore for State<'_, '_> {
     }
 
     fn save(&mut self, trainer: &mut Trainer<'_>) -> Result<(), Error> {
-        // The log first: lines after the checkpoint are cut off again, lines that are missing would stay so.
+        // The log first: lines after the checkpoint are cut off again, lines that are missing would
+        // stay so.
         self.log.write()?;
         self.checkpoints.save(trainer)?;
         note_progress(&mut self.run.record, trainer);
@@ -186,18 +226,27 @@ impl TrainStore for State<'_, '_> {
 fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
     let splats = trainer.splats();
     record.iterations = Some(trainer.iteration());
-    record.splats = Some(SplatCount { r#static: splats.n_static(), dynamic: splats.n_dynamic() });
+    record.splats = Some(SplatCount {
+        r#static: splats.n_static(),
+        dynamic: splats.n_dynamic(),
+    });
 }
 
 /// Writes the finished scene, reads it back and compares.
 fn publish(path: &Path, scene: &Scene) -> Result<(), Error> {
     if !scene.splats.is_finite() {
-        return Err(Error::Internal { what: "training ended with values that are not finite".to_owned() });
+        return Err(Error::Internal {
+            what: "training ended with values that are not finite".to_owned(),
+        });
     }
     safetensors::write(path, scene, None, &BTreeMap::new())?;
     if safetensors::read(path)?.scene == *scene {
         return Ok(());
     }
     layout::remove_file(path)?;
-    Err(OutputError::Verify { path: path.to_path_buf(), what: "the scene differs".to_owned() }.into())
+    Err(OutputError::Verify {
+        path: path.to_path_buf(),
+        what: "the scene differs".to_owned(),
+    }
+    .into())
 }

@@ -17,7 +17,11 @@ pub const STAGE: &str = "viewer";
 /// The splats for the page of a run; `None` where none is wanted.
 pub(crate) fn packed(run: &Workspace<'_>, scene: &Scene) -> Option<Packed> {
     let title = title(run.place(), &run.record.input.path);
-    run.job.settings.viewer.write.then(|| pack(scene, &title, median_depth(scene, run.level)))
+    run.job
+        .settings
+        .viewer
+        .write
+        .then(|| pack(scene, &title, median_depth(scene, run.level)))
 }
 
 /// What is to be done for the page of a run.
@@ -27,7 +31,10 @@ pub(crate) enum Plan {
     /// It was written before.
     Reuse,
     /// It is written again; seconds of an earlier attempt do not count.
-    Write { key: String, because: Option<&'static str> },
+    Write {
+        key: String,
+        because: Option<&'static str>,
+    },
 }
 
 /// Decides that, once the scene of the run is written.
@@ -36,7 +43,11 @@ pub(crate) fn plan(run: &Workspace<'_>, capture: &HashedCapture) -> Result<Plan,
     if !config.write {
         return Ok(Plan::Nothing);
     }
-    let scene_hash = run.record.files.get(SCENE_FILE).map_or("", |f| f.blake3.as_str());
+    let scene_hash = run
+        .record
+        .files
+        .get(SCENE_FILE)
+        .map_or("", |f| f.blake3.as_str());
     let key = hash::of_parts(&[
         STAGE,
         env!("CARGO_PKG_VERSION"),
@@ -55,7 +66,9 @@ pub(crate) fn plan(run: &Workspace<'_>, capture: &HashedCapture) -> Result<Plan,
 pub(crate) fn stage(run: &mut Workspace<'_>, plan: Plan, page: Option<Page>) -> Result<(), Error> {
     match (plan, page) {
         (Plan::Write { key, because }, Some(page)) => {
-            run.stage(STAGE, key, (because, 0.0), &[VIEWER_FILE], |run, _| page.write(&run.path(VIEWER_FILE)))
+            run.stage(STAGE, key, (because, 0.0), &[VIEWER_FILE], |run, _| {
+                page.write(&run.path(VIEWER_FILE))
+            })
         }
         (Plan::Reuse, _) => {
             run.job.observer.stage(STAGE, StageEvent::Reused);

@@ -3,7 +3,9 @@
 use crate::run::Clock;
 use crate::run::Job;
 use crate::run::folder::RunFolder;
-use crate::run::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
+use crate::run::record::{
+    Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes,
+};
 use crate::run::stage::{self, Ended, StageFolder};
 use m4_kernels::SimdLevel;
 use minute4d::device::OpenGpu;
@@ -32,7 +34,8 @@ pub(crate) struct Workspace<'a> {
     room: Option<Room>,
 }
 
-/// Reserved disk space, so that the record can be written when the disk is full; free when this is dropped.
+/// Reserved disk space, so that the record can be written when the disk is full; free when this is
+/// dropped.
 struct Room(PathBuf);
 
 /// More than the size of a record, bytes.
@@ -60,15 +63,28 @@ pub(crate) enum Task {
     /// Nothing: an earlier result is complete and has the same input and settings.
     Reuse,
     /// The whole stage, or the rest of an interrupted one, after this many earlier seconds.
-    Work { because: Option<&'static str>, seconds_before: f64 },
+    Work {
+        because: Option<&'static str>,
+        seconds_before: f64,
+    },
 }
 
 impl<'a> Workspace<'a> {
     /// Creates or reuses a folder and records the start of the run with the input `file`.
-    pub fn open(path: &Path, file: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
+    pub fn open(
+        path: &Path,
+        file: &Path,
+        input: Input,
+        job: &'a Job<'a>,
+        clock: Clock,
+    ) -> Result<Self, Error> {
         let level = job.check()?;
         let gpu = job.device.choice.open(|why| job.observer.warn(why))?;
-        let mut record = RunRecord::begin(input, &job.settings, Device::here(level, gpu.as_ref().map(OpenGpu::name)))?;
+        let mut record = RunRecord::begin(
+            input,
+            &job.settings,
+            Device::here(level, gpu.as_ref().map(OpenGpu::name)),
+        )?;
         let files = job.settings.geometry.files();
         let inputs: Vec<&Path> = [file].into_iter().chain(files).collect();
         let (results, earlier) = RunFolder::open(path, job.existing, &record, &inputs)?;
@@ -81,16 +97,34 @@ impl<'a> Workspace<'a> {
         }
         record.write(&folder)?;
         let room = Some(Room::reserve(&folder));
-        Ok(Self { folder, results, job, level, gpu, record, earlier, clock, until: None, room })
+        Ok(Self {
+            folder,
+            results,
+            job,
+            level,
+            gpu,
+            record,
+            earlier,
+            clock,
+            until: None,
+            room,
+        })
     }
 
     /// Runs the work and records its end.
-    pub fn finish(mut self, work: impl FnOnce(&mut Self) -> Result<(), Error>) -> Result<RunRecord, Error> {
+    pub fn finish(
+        mut self,
+        work: impl FnOnce(&mut Self) -> Result<(), Error>,
+    ) -> Result<RunRecord, Error> {
         let outcome = work(&mut self);
         match &outcome {
             Ok(()) => self.record.status = Status::Finished,
             Err(error) => {
-                self.record.status = if error.is_stop() { Status::Stopped } else { Status::Failed };
+                self.record.status = if error.is_stop() {
+                    Status::Stopped
+                } else {
+                    Status::Failed
+                };
                 self.record.error = Some(error.to_string());
             }
         }
@@ -109,13 +143,22 @@ impl<'a> Workspace<'a> {
         stage: impl FnOnce(&mut Self) -> Result<(), Error>,
     ) -> Result<(), Error> {
         self.until = self.clock.end();
-        let outcome = if self.clock.is_over() { Err(Error::Stopped { stage: "", saved: true }) } else { stage(self) };
+        let outcome = if self.clock.is_over() {
+            Err(Error::Stopped {
+                stage: "",
+                saved: true,
+            })
+        } else {
+            stage(self)
+        };
         self.until = None;
         match outcome {
-            Err(error) if error.is_stop() && self.clock.is_over() && !self.job.observer.cancelled() => {
-                self.job
-                    .observer
-                    .warn(&format!("the time limit left none for {what}; the same command with --resume makes it"));
+            Err(error)
+                if error.is_stop() && self.clock.is_over() && !self.job.observer.cancelled() =>
+            {
+                self.job.observer.warn(&format!(
+                    "the time limit left none for {what}; the same command with --resume makes it"
+                ));
                 Ok(())
             }
             other => other,
@@ -135,7 +178,10 @@ impl<'a> Workspace<'a> {
     /// Returns whether a stage with this key is done and its files are unchanged.
     pub fn task(&self, stage: &str, key: &str, files: &[&str]) -> Result<Task, Error> {
         let Some(earlier) = self.record.stages.get(stage) else {
-            return Ok(Task::Work { because: None, seconds_before: 0.0 });
+            return Ok(Task::Work {
+                because: None,
+                seconds_before: 0.0,
+            });
         };
         let because = if earlier.key != key {
             Some(self.why_again())
@@ -146,7 +192,14 @@ impl<'a> Workspace<'a> {
         } else {
             return Ok(Task::Reuse);
         };
-        Ok(Task::Work { because, seconds_before: if because.is_none() { earlier.seconds } else { 0.0 } })
+        Ok(Task::Work {
+            because,
+            seconds_before: if because.is_none() {
+                earlier.seconds
+            } else {
+                0.0
+            },
+        })
     }
 
     fn why_again(&self) -> &'static str {
@@ -189,7 +242,13 @@ impl<'a> Workspace<'a> {
         files: &[&str],
         work: impl FnOnce(&mut Self, &RecordingObserver<'_>) -> Result<R, Error>,
     ) -> Result<R, Error> {
-        let begun = StageRecord { key, done: false, seconds, peak_memory_bytes: None, warnings: Vec::new() };
+        let begun = StageRecord {
+            key,
+            done: false,
+            seconds,
+            peak_memory_bytes: None,
+            warnings: Vec::new(),
+        };
         self.record.stages.insert(name.to_owned(), begun);
         stage::run(self, name, because, |run, recorder| {
             let result = work(run, recorder)?;

@@ -17,13 +17,14 @@ use std::time::{Duration, Instant};
 const LINGER: Duration = Duration::from_secs(3);
 /// Least seconds between two scenes: a person does not follow more.
 const EVERY_S: f64 = 2.0;
-/// Most of the machine's time that scenes for the page may take, which is not noticed; when they would take more there are fewer.
+/// Most of the machine's time that scenes for the page may take, which is not noticed; when they
+/// would take more there are fewer.
 const SHARE: f64 = 0.03;
 
 /// An observer that passes everything on, and shows scenes and metrics to the pages of a server.
 ///
-/// Training is asked for a copy of its scene only while a page is open, and seldom; a thread of its own packs the copy. What is
-/// computed does not depend on any of it.
+/// Training is asked for a copy of its scene only while a page is open, and seldom; a thread of its
+/// own packs the copy. What is computed does not depend on any of it.
 pub struct Broadcast<'a> {
     inner: &'a dyn Observer,
     hub: Arc<Hub>,
@@ -80,8 +81,16 @@ impl<'a> Broadcast<'a> {
         let thread = std::thread::Builder::new()
             .name("snapshots".to_owned())
             .spawn(move || pack_all(&receive, &title, &to, &done))
-            .map_err(|e| Error::Internal { what: format!("cannot start a thread for the page: {e}") })?;
-        Ok(Self { inner, hub, server, worker: Some((send, thread)), pace })
+            .map_err(|e| Error::Internal {
+                what: format!("cannot start a thread for the page: {e}"),
+            })?;
+        Ok(Self {
+            inner,
+            hub,
+            server,
+            worker: Some((send, thread)),
+            pace,
+        })
     }
 
     /// The address of the page, token included.
@@ -112,8 +121,8 @@ impl<'a> Broadcast<'a> {
         Ok(())
     }
 
-    /// Keeps serving until the caller asks to stop; with `briefly` only until open pages had time to
-    /// fetch the last scene.
+    /// Keeps serving until the caller asks to stop; with `briefly` only until open pages had time
+    /// to fetch the last scene.
     pub fn stay(&self, briefly: bool) {
         let start = Instant::now();
         let over = || briefly && (self.hub.listeners() == 0 || start.elapsed() >= LINGER);
@@ -168,11 +177,17 @@ impl Observer for Broadcast<'_> {
 
     fn scene(&self, copy: &mut dyn FnMut() -> Scene, median_depth: f64) {
         self.inner.scene(copy, median_depth);
-        let Some((send, _)) = &self.worker else { return };
+        let Some((send, _)) = &self.worker else {
+            return;
+        };
         let start = Instant::now();
         lock(&self.pace).busy = true;
         let scene = copy();
-        let copied = Copied { scene, median_depth, waited: start.elapsed() };
+        let copied = Copied {
+            scene,
+            median_depth,
+            waited: start.elapsed(),
+        };
         if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) = send.try_send(copied) {
             lock(&self.pace).busy = false;
         }
@@ -187,11 +202,18 @@ mod tests {
     #[test]
     fn scenes_that_cost_much_come_seldom() {
         let start = Instant::now();
-        let mut pace = Pace { threads: 2.0, busy: true, next: start };
+        let mut pace = Pace {
+            threads: 2.0,
+            busy: true,
+            next: start,
+        };
         let ms = Duration::from_millis;
         pace.done(ms(1), ms(10), start);
         assert_eq!(pace.next - start, ms(2000), "no more than a person follows");
         pace.done(ms(50), ms(500), start);
-        assert!(!pace.busy && (pace.next - start).abs_diff(ms(10_000)) < ms(1), "0.3 s of two threads, 3 %");
+        assert!(
+            !pace.busy && (pace.next - start).abs_diff(ms(10_000)) < ms(1),
+            "0.3 s of two threads, 3 %"
+        );
     }
 }

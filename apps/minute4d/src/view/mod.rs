@@ -1,4 +1,5 @@
-//! `minute4d view`: finds the scene in a folder, shows it in the browser, and every newer one that replaces it.
+//! `minute4d view`: finds the scene in a folder, shows it in the browser, and every newer one that
+//! replaces it.
 
 mod broadcast;
 
@@ -45,8 +46,8 @@ pub struct Viewing {
     with_frames: bool,
 }
 
-/// Serves a scene (a file, or the folder of a run, which may still train) on a port of 127.0.0.1, any
-/// free one for 0.
+/// Serves a scene (a file, or the folder of a run, which may still train) on a port of 127.0.0.1,
+/// any free one for 0.
 ///
 /// # Errors
 ///
@@ -80,8 +81,8 @@ impl Viewing {
         self.server.url()
     }
 
-    /// Shows what is new until the caller asks to stop. A file that cannot be read is reported and the scene
-    /// before stays.
+    /// Shows what is new until the caller asks to stop. A file that cannot be read is reported and
+    /// the scene before stays.
     pub fn follow(&mut self, observer: &dyn Observer) {
         let mut next = Instant::now() + LOOK;
         while !observer.cancelled() {
@@ -100,7 +101,8 @@ impl Viewing {
         if let Some(stamp) = newest.filter(|stamp| still && self.shown.as_ref() != Some(stamp)) {
             match self.show(stamp.clone(), observer) {
                 Ok(()) => {}
-                // an older checkpoint may go away while it is read: the next look finds the newer one
+                // an older checkpoint may go away while it is read: the next look finds the newer
+                // one
                 Err(_) if Stamp::of(&stamp.path).as_ref() != Some(&stamp) => self.shown = None,
                 Err(error) => observer.warn(&format!("the newer scene cannot be shown: {error}")),
             }
@@ -154,7 +156,11 @@ impl Stamp {
     /// `None` where there is no such file.
     pub fn of(path: &Path) -> Option<Self> {
         let facts = fs::metadata(path).ok().filter(fs::Metadata::is_file)?;
-        Some(Self { path: path.to_path_buf(), len: facts.len(), modified: facts.modified().ok() })
+        Some(Self {
+            path: path.to_path_buf(),
+            len: facts.len(),
+            modified: facts.modified().ok(),
+        })
     }
 }
 
@@ -168,11 +174,16 @@ impl Source {
     /// Takes a path with a scene, or one where a run is at work or was stopped.
     pub fn new(path: &Path) -> Result<Self, Error> {
         layout::settle(path)?;
-        let source = Self { path: path.to_path_buf() };
+        let source = Self {
+            path: path.to_path_buf(),
+        };
         if source.newest().is_some() || (path.is_dir() && RunRecord::read(path)?.is_some()) {
             return Ok(source);
         }
-        Err(Error::Missing { what: "scene or run", path: path.to_path_buf() })
+        Err(Error::Missing {
+            what: "scene or run",
+            path: path.to_path_buf(),
+        })
     }
 
     /// The scene, or the newest checkpoint where training is not done.
@@ -191,7 +202,11 @@ impl Source {
     }
 
     fn record(&self) -> Option<RunRecord> {
-        if self.path.is_dir() { RunRecord::read(&self.path).ok().flatten() } else { None }
+        if self.path.is_dir() {
+            RunRecord::read(&self.path).ok().flatten()
+        } else {
+            None
+        }
     }
 
     /// Outcome of the run, once it ended; `None` while it continues. A scene alone is a result.
@@ -216,20 +231,33 @@ impl Source {
 
     /// Returns the metrics so far.
     pub fn metrics(&self) -> Vec<Metrics> {
-        let text = files::read_text(&self.path.join(METRICS_FILE), MAX_RECORD_BYTES).unwrap_or_default();
-        let events: Vec<MetricsEvent> = text.lines().filter_map(|l| serde_json::from_str(l).ok()).collect();
+        let text =
+            files::read_text(&self.path.join(METRICS_FILE), MAX_RECORD_BYTES).unwrap_or_default();
+        let events: Vec<MetricsEvent> = text
+            .lines()
+            .filter_map(|l| serde_json::from_str(l).ok())
+            .collect();
         let done = events.last().map_or(0, |e| e.iteration);
         let record = self.record();
-        let asked = record.as_ref().and_then(|r| r.settings["train"]["iterations"].as_u64());
+        let asked = record
+            .as_ref()
+            .and_then(|r| r.settings["train"]["iterations"].as_u64());
         let finished = record.is_some_and(|r| r.status == Status::Finished);
         // a run that was given seconds says how many iterations they were only when it is done
         let iterations = asked.map_or(done, |n| n as usize).max(done);
-        events.iter().map(|e| event(e, if finished { done } else { iterations })).collect()
+        events
+            .iter()
+            .map(|e| event(e, if finished { done } else { iterations }))
+            .collect()
     }
 
     /// Reads the scene for the page. The frames come from the page of an earlier run, or from the
     /// capture; where neither is there the page goes without.
-    pub fn load(&self, stamp: &Stamp, level: SimdLevel) -> Result<(Manifest, Vec<u8>, Scene), Error> {
+    pub fn load(
+        &self,
+        stamp: &Stamp,
+        level: SimdLevel,
+    ) -> Result<(Manifest, Vec<u8>, Scene), Error> {
         let scene = safetensors::read(&stamp.path)?.scene;
         let (manifest, payload) = pack(&scene, &self.title(), median_depth(&scene, level));
         Ok((manifest, payload.bytes, scene))
@@ -247,8 +275,13 @@ impl Source {
         }
         let input = self.record().map(|r| PathBuf::from(r.input.path));
         let captures = [Some(self.path.join(CAPTURE_FOLDER)), input];
-        let capture = captures.into_iter().flatten().find(|path| is_capture(path))?;
-        let read = m4_io::capture::read(&capture, Split::Train, &CaptureOptions::default(), progress).ok()?;
+        let capture = captures
+            .into_iter()
+            .flatten()
+            .find(|path| is_capture(path))?;
+        let read =
+            m4_io::capture::read(&capture, Split::Train, &CaptureOptions::default(), progress)
+                .ok()?;
         frames(&read, scene).ok().flatten()
     }
 }

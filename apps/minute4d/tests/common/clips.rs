@@ -1,4 +1,5 @@
-//! Generated clips of a textured room as folders of images, and data sets in their published layouts.
+//! Generated clips of a textured room as folders of images, and data sets in their published
+//! layouts.
 
 use super::capture;
 use m4_core::nalgebra::{Vector3, Vector6};
@@ -38,10 +39,13 @@ pub fn see(camera: &Camera, u: f64, v: f64) -> ([u8; 3], f64) {
 }
 
 fn colour(p: &Vector3<f64>, wall: f64) -> [u8; 3] {
-    [0.0, 0.3, 0.6].map(|shift| (128.0 + 26.0 * texture(p.x + 0.1 * shift, p.y, wall + shift)).clamp(0.0, 255.0) as u8)
+    [0.0, 0.3, 0.6].map(|shift| {
+        (128.0 + 26.0 * texture(p.x + 0.1 * shift, p.y, wall + shift)).clamp(0.0, 255.0) as u8
+    })
 }
 
-/// A camera that moved by `shift` to the right, turned by `turn` radians to the right, with a focal length of `focal_px`.
+/// A camera that moved by `shift` to the right, turned by `turn` radians to the right, with a focal
+/// length of `focal_px`.
 pub fn camera(shift: f64, turn: f64, focal_px: f64) -> Camera {
     Camera {
         intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, focal_px),
@@ -57,7 +61,14 @@ pub fn walk(n: usize) -> Vec<Camera> {
     let share = |i: usize| i as f64 / (n.max(2) - 1) as f64;
     (0..n)
         .map(|i| {
-            let bob = Vector6::new(0.0, 0.03 * (9.0 * share(i)).sin(), 0.0, 0.0, 0.0, 0.01 * (7.0 * share(i)).sin());
+            let bob = Vector6::new(
+                0.0,
+                0.03 * (9.0 * share(i)).sin(),
+                0.0,
+                0.0,
+                0.0,
+                0.01 * (7.0 * share(i)).sin(),
+            );
             let mut camera = camera(1.2 * share(i) - 0.6, 0.15 * (0.5 - share(i)), FOCAL_PX);
             camera.c2w = camera.c2w.retract(&bob);
             camera
@@ -66,7 +77,9 @@ pub fn walk(n: usize) -> Vec<Camera> {
 }
 
 pub fn frame_image(camera: &Camera) -> RgbImage {
-    Plane::from_fn(camera.intrinsics.width, camera.intrinsics.height, |x, y| see(camera, x as f64, y as f64).0)
+    Plane::from_fn(camera.intrinsics.width, camera.intrinsics.height, |x, y| {
+        see(camera, x as f64, y as f64).0
+    })
 }
 
 /// Writes images as `00000.png`...
@@ -79,8 +92,12 @@ pub fn write(folder: &Path, images: impl IntoIterator<Item = RgbImage>) {
 
 /// Numbers as numpy saves them, `<f4` or `<f8`.
 pub fn write_npy(path: &Path, shape: &[usize], values: &[f64], double: bool) {
-    let (name, shape) = (if double { "<f8" } else { "<f4" }, format!("{shape:?}").replace(['[', ']'], ""));
-    let mut header = format!("{{'descr': '{name}', 'fortran_order': False, 'shape': ({shape},), }}");
+    let (name, shape) = (
+        if double { "<f8" } else { "<f4" },
+        format!("{shape:?}").replace(['[', ']'], ""),
+    );
+    let mut header =
+        format!("{{'descr': '{name}', 'fortran_order': False, 'shape': ({shape},), }}");
     while !(10 + header.len() + 1).is_multiple_of(64) {
         header.push(' ');
     }
@@ -101,7 +118,9 @@ pub fn write_npy(path: &Path, shape: &[usize], values: &[f64], double: bool) {
 /// `camera/ID.json` of DyCheck: of images twice as large.
 fn dycheck_camera(path: &Path, camera: &Camera) {
     let r = camera.c2w.rotation;
-    let orientation: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| r[(j, i)]).collect()).collect();
+    let orientation: Vec<Vec<f64>> = (0..3)
+        .map(|i| (0..3).map(|j| r[(j, i)]).collect())
+        .collect();
     let c = camera.centre();
     let k = &camera.intrinsics;
     let value = json!({
@@ -118,7 +137,8 @@ fn dycheck_camera(path: &Path, camera: &Camera) {
     fs::write(path, value.to_string()).unwrap();
 }
 
-/// A scene as DyCheck publishes it: `n` frames of camera 0 with depth, every fourth moment from camera 1 with a mask of co-visibility.
+/// A scene as DyCheck publishes it: `n` frames of camera 0 with depth, every fourth moment from
+/// camera 1 with a mask of co-visibility.
 pub fn write_dycheck(root: &Path, n: usize, with_masks: bool) {
     write_dycheck_of(root, [capture(n, false), capture(n, true)], with_masks);
 }
@@ -140,7 +160,12 @@ pub fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bo
         let depth = frame.depth.as_ref().unwrap().to_map();
         let values: Vec<f64> = depth.data().iter().map(|&z| f64::from(z)).collect();
         let shape = [depth.height(), depth.width(), 1];
-        write_npy(&root.join(format!("depth/2x/{id}.npy")), &shape, &values, false);
+        write_npy(
+            &root.join(format!("depth/2x/{id}.npy")),
+            &shape,
+            &values,
+            false,
+        );
         train_ids.push(id);
     }
     let mut val_ids = Vec::new();
@@ -164,7 +189,16 @@ pub fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bo
     let put = |name: &str, value: &Value| fs::write(root.join(name), value.to_string()).unwrap();
     put("splits/train.json", &split(&train_ids));
     put("splits/val.json", &split(&val_ids));
-    put("dataset.json", &json!({"count": train_ids.len() + val_ids.len()}));
-    put("scene.json", &json!({"center": [0.0, 0.0, 3.0], "scale": 1.0, "near": 2.0, "far": 6.0}));
-    put("extra.json", &json!({"factor": 2, "fps": 10, "lookat": [0.0, 0.0, 4.0], "up": [0.0, -1.0, 0.0]}));
+    put(
+        "dataset.json",
+        &json!({"count": train_ids.len() + val_ids.len()}),
+    );
+    put(
+        "scene.json",
+        &json!({"center": [0.0, 0.0, 3.0], "scale": 1.0, "near": 2.0, "far": 6.0}),
+    );
+    put(
+        "extra.json",
+        &json!({"factor": 2, "fps": 10, "lookat": [0.0, 0.0, 4.0], "up": [0.0, -1.0, 0.0]}),
+    );
 }

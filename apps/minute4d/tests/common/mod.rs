@@ -33,8 +33,16 @@ impl Ended {
 
     /// The events of `--json`, each a line that is an object with a name.
     pub fn events(&self) -> Vec<Value> {
-        let events: Vec<Value> = self.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-        assert!(events.iter().all(|e| e["event"].is_string()), "{}", self.stdout);
+        let events: Vec<Value> = self
+            .stdout
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert!(
+            events.iter().all(|e| e["event"].is_string()),
+            "{}",
+            self.stdout
+        );
         events
     }
 
@@ -52,7 +60,8 @@ impl Ended {
     pub fn result(&self) -> Value {
         let events = self.events();
         let found = events.iter().find(|e| e["event"] == "result");
-        found.unwrap_or_else(|| panic!("no result in {} {}", self.stdout, self.stderr))["result"].clone()
+        found.unwrap_or_else(|| panic!("no result in {} {}", self.stdout, self.stderr))["result"]
+            .clone()
     }
 }
 
@@ -67,7 +76,10 @@ impl Running {
     /// Sends a signal, such as `-INT`.
     #[cfg(unix)]
     pub fn signal(&self, name: &str) {
-        let status = Command::new("kill").args([name, &self.0.id().to_string()]).status().unwrap();
+        let status = Command::new("kill")
+            .args([name, &self.0.id().to_string()])
+            .status()
+            .unwrap();
         assert!(status.success());
     }
 }
@@ -96,13 +108,16 @@ impl Scratch {
         text(&self.path(name)).to_owned()
     }
 
-    /// The program with arguments as they are typed, started in this folder: words with spaces between them; what stands in single
-    /// quotes is one word.
+    /// The program with arguments as they are typed, started in this folder: words with spaces
+    /// between them; what stands in single quotes is one word.
     pub fn command(&self, line: &str) -> Command {
         let mut command = crate::program(line.split_whitespace().next().unwrap_or_default());
         // No weights that this machine may have, and no progress that depends on the terminal.
         let none = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no-weights");
-        command.env_remove("MINUTE4D_SIMD").env("MINUTE4D_WEIGHTS", none).env("TERM", "dumb");
+        command
+            .env_remove("MINUTE4D_SIMD")
+            .env("MINUTE4D_WEIGHTS", none)
+            .env("TERM", "dumb");
         command.current_dir(self.0.path());
         for (i, part) in line.split('\'').enumerate() {
             match i % 2 {
@@ -123,7 +138,8 @@ impl Scratch {
         ended
     }
 
-    /// Calls the program as typed and expects it to refuse with that code and these words, on stderr and as events.
+    /// Calls the program as typed and expects it to refuse with that code and these words, on
+    /// stderr and as events.
     pub fn refused(&self, line: &str, code: i32, words: &[&str]) {
         self.refused_with(line, &[], code, words);
     }
@@ -134,15 +150,30 @@ impl Scratch {
         command.arg("--json").envs(env.iter().copied());
         let ended = Ended::of(command.output().unwrap());
         let args: Vec<_> = command.get_args().collect();
-        assert_eq!(ended.code, code, "{args:?}\n{}\n{}", ended.stdout, ended.stderr);
+        assert_eq!(
+            ended.code, code,
+            "{args:?}\n{}\n{}",
+            ended.stdout, ended.stderr
+        );
         let end = ended.end();
         let reason = end["reason"].as_str().unwrap();
         for word in words {
-            assert!(reason.contains(word), "{args:?}: {word:?} is not in {reason:?}");
-            assert!(ended.stderr.contains(word), "{args:?}: {word:?} is not in {:?}", ended.stderr);
+            assert!(
+                reason.contains(word),
+                "{args:?}: {word:?} is not in {reason:?}"
+            );
+            assert!(
+                ended.stderr.contains(word),
+                "{args:?}: {word:?} is not in {:?}",
+                ended.stderr
+            );
         }
         let lower = ended.stderr.to_lowercase();
-        assert!(!lower.contains("panicked") && !lower.contains("internal error"), "{}", ended.stderr);
+        assert!(
+            !lower.contains("panicked") && !lower.contains("internal error"),
+            "{}",
+            ended.stderr
+        );
     }
 
     pub fn json(&self, name: &str) -> Value {
@@ -155,17 +186,27 @@ impl Scratch {
 
     /// The files and folders in a folder, without hidden ones.
     pub fn count(&self, name: &str) -> usize {
-        let names = std::fs::read_dir(self.path(name)).unwrap().map(|entry| entry.unwrap().file_name());
-        names.filter(|name| !name.to_string_lossy().starts_with('.')).count()
+        let names = std::fs::read_dir(self.path(name))
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name());
+        names
+            .filter(|name| !name.to_string_lossy().starts_with('.'))
+            .count()
     }
 
-    /// Makes the program `bin/NAME` of a script. By another process: one that is forked here meanwhile would hold it open for
-    /// writing.
+    /// Makes the program `bin/NAME` of a script. By another process: one that is forked here
+    /// meanwhile would hold it open for writing.
     #[cfg(target_os = "linux")]
     pub fn install(&self, name: &str, body: &str) {
         let text = self.write(&format!("{name}.txt"), format!("#!/bin/sh\n{body}\n"));
         let install = ["-D", "-m", "755", &text, &self.at(&format!("bin/{name}"))];
-        assert!(Command::new("install").args(install).status().unwrap().success());
+        assert!(
+            Command::new("install")
+                .args(install)
+                .status()
+                .unwrap()
+                .success()
+        );
     }
 
     pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> String {
@@ -174,40 +215,65 @@ impl Scratch {
     }
 }
 
-/// Makes a device that is always full; a link to that of the system for users who may make none, nor replace that one.
+/// Makes a device that is always full; a link to that of the system for users who may make none,
+/// nor replace that one.
 #[cfg(unix)]
 pub fn device(dir: &Scratch, name: &str) {
-    let made = Command::new("mknod").arg(dir.path(name)).args(["c", "1", "7"]).output();
+    let made = Command::new("mknod")
+        .arg(dir.path(name))
+        .args(["c", "1", "7"])
+        .output();
     if !made.is_ok_and(|made| made.status.success()) {
         std::os::unix::fs::symlink("/dev/full", dir.path(name)).unwrap();
     }
 }
 
-/// What a camera sees of a textured wall at depth 4 and a square before it at depth 2.5 that moves to
-/// the right; image, depth and mask.
+/// What a camera sees of a textured wall at depth 4 and a square before it at depth 2.5 that moves
+/// to the right; image, depth and mask.
 pub fn see(camera: &Camera, share: f64) -> (RgbImage, Plane<f32>, Plane<u8>) {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let hit = |x: usize, y: usize| {
         let at = |z: f64| camera.unproject(x as f64, y as f64, z);
         let near = at(2.5);
         let square = (near.x - (share - 0.5)).abs() < 0.35 && near.y.abs() < 0.35;
-        if square { (near, 2.5, true) } else { (at(4.0), 4.0, false) }
+        if square {
+            (near, 2.5, true)
+        } else {
+            (at(4.0), 4.0, false)
+        }
     };
     let wave = |v: f64| (127.5 + 110.0 * v.sin()) as u8;
     let rgb = Plane::from_fn(w, h, |x, y| match hit(x, y) {
         (p, _, true) => [230, wave(9.0 * (p.x - share)), wave(11.0 * p.y)],
-        (p, _, false) => [wave(5.0 * p.x + 2.0 * p.y), wave(6.0 * p.y), wave(4.0 * (p.x - p.y))],
+        (p, _, false) => [
+            wave(5.0 * p.x + 2.0 * p.y),
+            wave(6.0 * p.y),
+            wave(4.0 * (p.x - p.y)),
+        ],
     });
     let depth = Plane::from_fn(w, h, |x, y| hit(x, y).1 as f32);
     let mask = Plane::from_fn(w, h, |x, y| if hit(x, y).2 { 255 } else { 0 });
     (rgb, depth, mask)
 }
 
-fn frame(size: (usize, usize), shift: f64, i: usize, n: usize, held_out: Option<u32>) -> CaptureFrame {
+fn frame(
+    size: (usize, usize),
+    shift: f64,
+    i: usize,
+    n: usize,
+    held_out: Option<u32>,
+) -> CaptureFrame {
     let share = i as f64 / (n - 1) as f64;
     let camera = Camera {
         intrinsics: Intrinsics::centred(size.0, size.1, 0.94 * size.0 as f64),
-        c2w: Se3::identity().retract(&Vector6::new(0.4 * share + shift, 0.02 * share, 0.0, 0.0, 0.0, 0.0)),
+        c2w: Se3::identity().retract(&Vector6::new(
+            0.4 * share + shift,
+            0.02 * share,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        )),
     };
     let (rgb, depth, mask) = see(&camera, share);
     CaptureFrame {
@@ -223,8 +289,8 @@ fn frame(size: (usize, usize), shift: f64, i: usize, n: usize, held_out: Option<
     }
 }
 
-/// What no reconstruction is needed for: the mean PSNR, dB, over `views` of the mean of `frames` over time. Columns from
-/// `columns` on do not count.
+/// What no reconstruction is needed for: the mean PSNR, dB, over `views` of the mean of `frames`
+/// over time. Columns from `columns` on do not count.
 pub fn mean_image_psnr_db<'a>(
     frames: impl IntoIterator<Item = &'a CaptureFrame>,
     views: impl IntoIterator<Item = RgbImage>,
@@ -238,8 +304,11 @@ pub fn mean_image_psnr_db<'a>(
     let psnr_db = |view: RgbImage| {
         let (w, h) = view.size();
         let places = (0..h).flat_map(|y| (0..w.min(columns)).map(move |x| (x, y)));
-        let squares: Vec<f64> =
-            places.flat_map(|(x, y)| [0, 1, 2].map(|k| (mean(x, y, k) - f64::from(view[(x, y)][k])).powi(2))).collect();
+        let squares: Vec<f64> = places
+            .flat_map(|(x, y)| {
+                [0, 1, 2].map(|k| (mean(x, y, k) - f64::from(view[(x, y)][k])).powi(2))
+            })
+            .collect();
         -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64 / (255.0 * 255.0)).log10()
     };
     let scores: Vec<f64> = views.into_iter().map(psnr_db).collect();
@@ -254,7 +323,9 @@ pub fn capture(n: usize, held_out: bool) -> Capture {
 fn capture_of(size: (usize, usize), n: usize, held_out: bool) -> Capture {
     let shift = if held_out { 0.1 } else { 0.0 };
     Capture {
-        frames: (0..n).map(|i| frame(size, shift, i, n, held_out.then_some(0))).collect(),
+        frames: (0..n)
+            .map(|i| frame(size, shift, i, n, held_out.then_some(0)))
+            .collect(),
         time_frames: n,
         duration_s: Some((n - 1) as f64 / 10.0),
         metric: false,
@@ -280,7 +351,8 @@ pub fn frames_of(path: &Path) -> (usize, (usize, usize)) {
     (video.frames.len(), video.frames[0].rgb.size())
 }
 
-/// The folder of a finished run of six frames in half a second, trained once for all tests that only read it.
+/// The folder of a finished run of six frames in half a second, trained once for all tests that
+/// only read it.
 pub fn finished_run() -> &'static str {
     static RUN: OnceLock<(Scratch, String)> = OnceLock::new();
     let (_, path) = RUN.get_or_init(|| {
@@ -294,7 +366,10 @@ pub fn finished_run() -> &'static str {
 }
 
 pub fn write_clip(folder: &Path, size: (usize, usize), n: usize, fps: f64) {
-    let clip = Capture { duration_s: Some((n - 1) as f64 / fps), ..capture_of(size, n, false) };
+    let clip = Capture {
+        duration_s: Some((n - 1) as f64 / fps),
+        ..capture_of(size, n, false)
+    };
     capture::write(folder, &clip, Split::Train, &Silent).unwrap();
 }
 

@@ -1,5 +1,5 @@
-//! Files of the repository that readers are given, and what mutated bytes are wrapped in: valid checksums and compression, so that
-//! mutations get past them.
+//! Files of the repository that readers are given, and what mutated bytes are wrapped in: valid
+//! checksums and compression, so that mutations get past them.
 
 use m4_testkit::repository;
 use std::fs;
@@ -35,16 +35,23 @@ pub fn copy(from: &Path, to: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Names and contents of the earlier findings in a reader, in the order of the names; empty if there are none.
+/// Names and contents of the earlier findings in a reader, in the order of the names; empty if
+/// there are none.
 pub fn corpus(reader: &str) -> io::Result<Vec<(String, Vec<u8>)>> {
     let entries = match fs::read_dir(repository().join(CORPUS).join(reader)) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries?,
     };
-    let mut paths = entries.map(|e| e.map(|e| e.path())).collect::<io::Result<Vec<_>>>()?;
+    let mut paths = entries
+        .map(|e| e.map(|e| e.path()))
+        .collect::<io::Result<Vec<_>>>()?;
     paths.sort();
     let named = |p: PathBuf| {
-        let name = p.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let name = p
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         Ok((name, fs::read(&p)?))
     };
     paths.into_iter().map(named).collect()
@@ -74,13 +81,18 @@ impl Wrap {
             Self::Png => png(bytes),
             Self::Member(name, others) => {
                 let mut to = ZipWriter::new(Cursor::new(Vec::new()));
-                let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+                let stored =
+                    SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
                 let all = others.iter().map(|(name, bytes)| (name, bytes.as_slice()));
                 for (name, bytes) in all.chain([(name, bytes)]) {
                     let written = to.start_file(name, stored).map_err(io::Error::from);
-                    written.and_then(|()| to.write_all(bytes)).unwrap_or_else(|e| panic!("an archive in memory: {e}"));
+                    written
+                        .and_then(|()| to.write_all(bytes))
+                        .unwrap_or_else(|e| panic!("an archive in memory: {e}"));
                 }
-                let done = to.finish().unwrap_or_else(|e| panic!("an archive in memory: {e}"));
+                let done = to
+                    .finish()
+                    .unwrap_or_else(|e| panic!("an archive in memory: {e}"));
                 done.into_inner()
             }
         }
@@ -90,13 +102,16 @@ impl Wrap {
 /// Names and contents of the members of `fixtures/ARCHIVE`.
 pub fn members(archive: &str) -> Vec<(String, Vec<u8>)> {
     let broken = |e: &dyn std::fmt::Display| -> ! { panic!("fixtures/{archive} is broken: {e}") };
-    let mut zip = ZipArchive::new(Cursor::new(fixture_bytes(archive))).unwrap_or_else(|e| broken(&e));
+    let mut zip =
+        ZipArchive::new(Cursor::new(fixture_bytes(archive))).unwrap_or_else(|e| broken(&e));
     let mut all = Vec::new();
     for i in 0..zip.len() {
         let mut member = zip.by_index(i).unwrap_or_else(|e| broken(&e));
         let name = member.name().unwrap_or_else(|e| broken(&e)).into_owned();
         let mut bytes = Vec::new();
-        member.read_to_end(&mut bytes).unwrap_or_else(|e| broken(&e));
+        member
+            .read_to_end(&mut bytes)
+            .unwrap_or_else(|e| broken(&e));
         all.push((name, bytes));
     }
     all

@@ -1,5 +1,5 @@
-//! The process that reads, with limits of memory and time, and the one that starts it: readers may panic, abort or hang. The process that
-//! reads prints a line for each input on standard output:
+//! The process that reads, with limits of memory and time, and the one that starts it: readers may
+//! panic, abort or hang. The process that reads prints a line for each input on standard output:
 //!
 //! ```text
 //! at NAME          the input is read; its bytes lie in FOLDER/READER-current, should the process not come back
@@ -23,7 +23,8 @@ const ADDRESS_SPACE: u64 = 2 << 30;
 /// Memory that reading may take, bytes: this, and this many times the file.
 const FREE: usize = 64 << 20;
 const TIMES: usize = 64;
-/// Time that one file may take: a thousand times what is usual, on a machine that does much else. After twice as long the process aborts.
+/// Time that one file may take: a thousand times what is usual, on a machine that does much else.
+/// After twice as long the process aborts.
 const MAX_TIME: Duration = Duration::from_secs(20);
 
 /// How much memory is taken; the allocator counts for the whole process.
@@ -56,9 +57,14 @@ pub fn work(
     meter: Meter,
 ) -> io::Result<()> {
     limit_memory(ADDRESS_SPACE)?;
-    let watched = Arc::new(Watched { began: Mutex::new(Instant::now()), said: Mutex::default() });
+    let watched = Arc::new(Watched {
+        began: Mutex::new(Instant::now()),
+        said: Mutex::default(),
+    });
     let to = watched.clone();
-    set_hook(Box::new(move |info| *to.said.lock().unwrap() = info.to_string().replace('\n', " ")));
+    set_hook(Box::new(move |info| {
+        *to.said.lock().unwrap() = info.to_string().replace('\n', " ")
+    }));
     let stage = reader.stage()?;
     let seen = watched.clone();
     thread::spawn(move || {
@@ -85,7 +91,15 @@ pub fn work(
             Err(_) => Some(watched.said.lock().unwrap().clone()),
             Ok(outcome) => {
                 let outcome = outcome?;
-                writeln!(out, "{}", if matches!(outcome, Outcome::Refused(_)) { "refused" } else { "read" })?;
+                writeln!(
+                    out,
+                    "{}",
+                    if matches!(outcome, Outcome::Refused(_)) {
+                        "refused"
+                    } else {
+                        "read"
+                    }
+                )?;
                 stage.fault(&outcome, is_number(&name))
             }
         };
@@ -95,7 +109,10 @@ pub fn work(
         if let Some(why) = fault.or(much).or(slow) {
             let short: String = why.chars().take(300).collect();
             writeln!(out, "found {}", short.replace('\n', " "))?;
-            fs::rename(&current, folder.join(format!("{}-{}", reader.name, file_name(&name))))?;
+            fs::rename(
+                &current,
+                folder.join(format!("{}-{}", reader.name, file_name(&name))),
+            )?;
         }
     }
     writeln!(out, "done")?;
@@ -109,16 +126,22 @@ fn file_name(input: &str) -> String {
     input.replace(|c: char| !c.is_ascii_alphanumeric(), "-")
 }
 
-/// Limits the address space of this process, bytes: what asks for more is aborted, whatever the machine has.
+/// Limits the address space of this process, bytes: what asks for more is aborted, whatever the
+/// machine has.
 fn limit_memory(bytes: u64) -> io::Result<()> {
     #[cfg(unix)]
     {
         use rustix::process::{Resource, Rlimit, setrlimit};
-        let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
+        let limit = Rlimit {
+            current: Some(bytes),
+            maximum: Some(bytes),
+        };
         setrlimit(Resource::As, limit).map_err(io::Error::from)
     }
     #[cfg(not(unix))]
-    Err(io::Error::other(format!("{bytes} bytes cannot be made the limit on this system")))
+    Err(io::Error::other(format!(
+        "{bytes} bytes cannot be made the limit on this system"
+    )))
 }
 
 #[derive(Debug, Clone)]
@@ -136,16 +159,24 @@ pub struct Report {
     pub findings: Vec<Finding>,
 }
 
-/// Runs `command`, a process that calls [`work`] for `reader`. An input that it does not come back from is its last.
+/// Runs `command`, a process that calls [`work`] for `reader`. An input that it does not come back
+/// from is its last.
 pub fn watch(reader: &str, folder: &Path, mut command: Command) -> io::Result<Report> {
     // no other program decodes what ours does not
-    command.env("PATH", "/nonexistent").env("RAYON_NUM_THREADS", "1").stderr(Stdio::null());
+    command
+        .env("PATH", "/nonexistent")
+        .env("RAYON_NUM_THREADS", "1")
+        .stderr(Stdio::null());
     let output = command.output()?;
     let mut report = Report::default();
     let (mut input, mut done) = ("the start".to_owned(), false);
     let finding = |input: &str, why: String| {
         let saved = folder.join(format!("{reader}-{}", file_name(input)));
-        Finding { input: input.to_owned(), why, saved }
+        Finding {
+            input: input.to_owned(),
+            why,
+            saved,
+        }
     };
     for line in String::from_utf8_lossy(&output.stdout).lines() {
         match line.split_once(' ').unwrap_or((line, "")) {
@@ -162,7 +193,10 @@ pub fn watch(reader: &str, folder: &Path, mut command: Command) -> io::Result<Re
         }
     }
     if !done {
-        let last = finding(&input, format!("it was aborted, or did not come back ({})", output.status));
+        let last = finding(
+            &input,
+            format!("it was aborted, or did not come back ({})", output.status),
+        );
         // it may have died before it wrote one
         let _ = fs::rename(current(folder, reader), &last.saved);
         report.findings.push(last);

@@ -1,4 +1,5 @@
-//! One reader, its folder, and the outcome of a read; checks that the data returned by readers are valid.
+//! One reader, its folder, and the outcome of a read; checks that the data returned by readers are
+//! valid.
 
 use crate::files::{Wrap, copy, fixture};
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, DepthMap, Scene, Tracks, Video};
@@ -36,7 +37,10 @@ pub enum Outcome {
 
 impl Outcome {
     /// Of a result and a look at what was read.
-    pub fn of<T, E: std::fmt::Display>(read: Result<T, E>, fault: impl FnOnce(&T) -> Option<String>) -> Self {
+    pub fn of<T, E: std::fmt::Display>(
+        read: Result<T, E>,
+        fault: impl FnOnce(&T) -> Option<String>,
+    ) -> Self {
         match read {
             Err(e) => Self::Refused(e.to_string()),
             Ok(value) => fault(&value).map_or(Self::Read, Self::Invalid),
@@ -58,7 +62,8 @@ type Call = Box<dyn Fn(&Path) -> Outcome + Send + Sync>;
 type Seeds = Box<dyn Fn(&Path) -> Vec<Vec<u8>> + Send + Sync>;
 
 pub struct Reader {
-    /// As the folder of the corpus is called; what it begins with is the family, which has a target of the fuzzer.
+    /// As the folder of the corpus is called; what it begins with is the family, which has a target
+    /// of the fuzzer.
     pub name: &'static str,
     /// Where the bytes are put, below the stage.
     pub file: String,
@@ -75,7 +80,8 @@ impl Reader {
         self.name.split('-').next().unwrap_or(self.name)
     }
 
-    /// A folder in which this reader reads, ready for bytes. A temporary one, gone when the stage is.
+    /// A folder in which this reader reads, ready for bytes. A temporary one, gone when the stage
+    /// is.
     pub fn stage(&self) -> io::Result<Stage<'_>> {
         let folder = tempfile::Builder::new().prefix("m4fuzz").tempdir()?;
         let here = folder.path();
@@ -96,7 +102,11 @@ impl Reader {
         Ok(Stage {
             reader: self,
             file,
-            given: if self.given.is_empty() { here.to_path_buf() } else { here.join(&self.given) },
+            given: if self.given.is_empty() {
+                here.to_path_buf()
+            } else {
+                here.join(&self.given)
+            },
             seeds,
             folder,
         })
@@ -135,7 +145,8 @@ impl Stage<'_> {
         })
     }
 
-    /// What is wrong with what came of some bytes: not valid, or a message that quotes the file, or does not name it where it must.
+    /// What is wrong with what came of some bytes: not valid, or a message that quotes the file, or
+    /// does not name it where it must.
     pub fn fault(&self, outcome: &Outcome, named: bool) -> Option<String> {
         match outcome {
             Outcome::Read => None,
@@ -159,25 +170,46 @@ pub fn scene(scene: &Scene) -> Option<String> {
     let within = |range: &range::Range, v: f32| range.contains(&f64::from(v));
     let faults = [
         (within(&range::NEAR, scene.near), "near"),
-        (scene.background.iter().all(|v| within(&range::COLOUR, *v)), "the background"),
-        ((1..=*range::FRAMES.end()).contains(&scene.time_frames), "the number of frames"),
-        (scene.duration_s.is_none_or(|s| range::SECONDS.contains(&s)), "the duration"),
+        (
+            scene.background.iter().all(|v| within(&range::COLOUR, *v)),
+            "the background",
+        ),
+        (
+            (1..=*range::FRAMES.end()).contains(&scene.time_frames),
+            "the number of frames",
+        ),
+        (
+            scene.duration_s.is_none_or(|s| range::SECONDS.contains(&s)),
+            "the duration",
+        ),
     ];
     if let Some((_, what)) = faults.into_iter().find(|(valid, _)| !valid) {
         return Some(what.into());
     }
-    scene.source.iter().find_map(|f| range::of_source(f).or_else(|| camera(&f.camera)))
+    scene
+        .source
+        .iter()
+        .find_map(|f| range::of_source(f).or_else(|| camera(&f.camera)))
 }
 
 pub fn camera(camera: &Camera) -> Option<String> {
     let c2w = camera.c2w.matrix();
-    let place = camera.c2w.translation.iter().all(|v| range::COORDINATE.contains(v));
+    let place = camera
+        .c2w
+        .translation
+        .iter()
+        .all(|v| range::COORDINATE.contains(v));
     let rigid = c2w.iter().all(|v| v.is_finite()) && (c2w.determinant() - 1.0).abs() < 1e-2;
-    range::of_lens(&camera.intrinsics).or_else(|| (!(rigid && place)).then(|| format!("a pose: {camera:?}")))
+    range::of_lens(&camera.intrinsics)
+        .or_else(|| (!(rigid && place)).then(|| format!("a pose: {camera:?}")))
 }
 
 pub fn tracks(tracks: &Tracks) -> Option<String> {
-    let valid = tracks.xyz().as_flattened().iter().all(|v| v.is_nan() || range::COORDINATE.contains(&f64::from(*v)));
+    let valid = tracks
+        .xyz()
+        .as_flattened()
+        .iter()
+        .all(|v| v.is_nan() || range::COORDINATE.contains(&f64::from(*v)));
     (!valid).then(|| "tracks".into())
 }
 
@@ -209,18 +241,29 @@ pub fn capture(capture: &Capture) -> Option<String> {
     let steps = capture.time_frames.saturating_sub(1) as f64;
     let lasts = |s: f64| s == 0.0 || steps == 0.0 || range::FPS.contains(&(steps / s));
     if capture.frames.is_empty() || !capture.duration_s.is_none_or(lasts) {
-        return Some(format!("no frames, or their duration: {:?}", capture.duration_s));
+        return Some(format!(
+            "no frames, or their duration: {:?}",
+            capture.duration_s
+        ));
     }
     let of_tracks = capture.tracks.as_ref().and_then(|t| {
         let fits = t.frames() == capture.frames.len();
-        if fits { tracks(t) } else { Some("the length of tracks".into()) }
+        if fits {
+            tracks(t)
+        } else {
+            Some("the length of tracks".into())
+        }
     });
     let last = capture.time_frames as f64 - 1.0;
     of_tracks.or_else(|| capture.frames.iter().find_map(|f| frame(f, last)))
 }
 
 pub fn video(video: &Video) -> Option<String> {
-    if !video.frames.iter().all(|f| range::SECONDS.contains(&f.time_s)) {
+    if !video
+        .frames
+        .iter()
+        .all(|f| range::SECONDS.contains(&f.time_s))
+    {
         return Some("a time".into());
     }
     let size = video.frames.first().map(|f| f.rgb.size());
@@ -237,15 +280,32 @@ pub fn trajectory(path: &Trajectory) -> Option<String> {
             listed.iter().find_map(|(c, _)| camera(c))
         }
         Trajectory::Keyed(keyed) => {
-            let times = keyed.keyframes.iter().map(|k| k.time_s).chain(keyed.back_s).chain(keyed.fps);
-            if keyed.keyframes.is_empty() || !times.into_iter().all(|t| range::SECONDS.contains(&t)) {
+            let times = keyed
+                .keyframes
+                .iter()
+                .map(|k| k.time_s)
+                .chain(keyed.back_s)
+                .chain(keyed.fps);
+            if keyed.keyframes.is_empty() || !times.into_iter().all(|t| range::SECONDS.contains(&t))
+            {
                 return Some("a time, or no keyframes".into());
             }
             let valid = keyed.keyframes.iter().all(|k| match &k.pose {
-                KeyPose::C2w(c2w) => c2w.translation.iter().all(|v| range::COORDINATE.contains(v)),
-                KeyPose::LookAt { position, look_at, up } => {
+                KeyPose::C2w(c2w) => c2w
+                    .translation
+                    .iter()
+                    .all(|v| range::COORDINATE.contains(v)),
+                KeyPose::LookAt {
+                    position,
+                    look_at,
+                    up,
+                } => {
                     let up = up.unwrap_or_default();
-                    position.iter().chain(look_at.iter()).chain(up.iter()).all(|v| range::COORDINATE.contains(v))
+                    position
+                        .iter()
+                        .chain(look_at.iter())
+                        .chain(up.iter())
+                        .all(|v| range::COORDINATE.contains(v))
                 }
             });
             (!valid).then(|| "a pose".into())

@@ -11,7 +11,13 @@ use std::process::Command;
 pub const fn nothing(_: &Scratch) {}
 
 pub fn pipe(dir: &Scratch, name: &str) {
-    assert!(Command::new("mkfifo").arg(dir.path(name)).status().unwrap().success());
+    assert!(
+        Command::new("mkfifo")
+            .arg(dir.path(name))
+            .status()
+            .unwrap()
+            .success()
+    );
 }
 
 pub fn full_device(dir: &Scratch) {
@@ -73,16 +79,24 @@ pub fn edited(dir: &Scratch, edit: impl FnOnce(&mut Value)) {
 }
 
 pub fn far_camera(dir: &Scratch) {
-    edited(dir, |list| list["frames"][2]["transform_matrix"][0][3] = json!(1e39));
+    edited(dir, |list| {
+        list["frames"][2]["transform_matrix"][0][3] = json!(1e39)
+    });
 }
 
 pub fn distant_camera(dir: &Scratch) {
-    edited(dir, |list| list["frames"][2]["transform_matrix"][0][3] = json!(1e30));
+    edited(dir, |list| {
+        list["frames"][2]["transform_matrix"][0][3] = json!(1e30)
+    });
 }
 
 pub fn no_focal_length(dir: &Scratch) {
     edited(dir, |list| {
-        list["frames"].as_array_mut().unwrap().iter_mut().for_each(|frame| frame["fl_x"] = json!(1e-30));
+        list["frames"]
+            .as_array_mut()
+            .unwrap()
+            .iter_mut()
+            .for_each(|frame| frame["fl_x"] = json!(1e-30));
     });
 }
 
@@ -91,13 +105,23 @@ pub fn endless_depth(dir: &Scratch) {
 }
 
 pub fn one_moment(dir: &Scratch) {
-    edited(dir, |list| list["frames"].as_array_mut().unwrap().iter_mut().for_each(|frame| frame["time"] = json!(0.5)));
+    edited(dir, |list| {
+        list["frames"]
+            .as_array_mut()
+            .unwrap()
+            .iter_mut()
+            .for_each(|frame| frame["time"] = json!(0.5))
+    });
 }
 
 pub fn one_image(dir: &Scratch) {
     edited(dir, |list| {
         let name = list["frames"][0]["file_path"].clone();
-        list["frames"].as_array_mut().unwrap().iter_mut().for_each(|frame| frame["file_path"] = name.clone());
+        list["frames"]
+            .as_array_mut()
+            .unwrap()
+            .iter_mut()
+            .for_each(|frame| frame["file_path"] = name.clone());
     });
 }
 
@@ -109,11 +133,15 @@ pub fn changed(dir: &Scratch, name: &str, change: impl FnOnce(Vec<u8>) -> Vec<u8
 }
 
 pub fn third_of_an_image(dir: &Scratch) {
-    changed(dir, "train/00002.png", |bytes| bytes[..bytes.len() / 3].to_vec());
+    changed(dir, "train/00002.png", |bytes| {
+        bytes[..bytes.len() / 3].to_vec()
+    });
 }
 
 pub fn third_of_a_depth_map(dir: &Scratch) {
-    changed(dir, "depth/00002.png", |bytes| bytes[..bytes.len() / 3].to_vec());
+    changed(dir, "depth/00002.png", |bytes| {
+        bytes[..bytes.len() / 3].to_vec()
+    });
 }
 
 pub fn empty_image(dir: &Scratch) {
@@ -123,12 +151,18 @@ pub fn empty_image(dir: &Scratch) {
 pub fn wide_text(dir: &Scratch) {
     changed(dir, "transforms_train.json", |bytes| {
         let text = String::from_utf8(bytes).unwrap();
-        [0xfeff].into_iter().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect()
+        [0xfeff]
+            .into_iter()
+            .chain(text.encode_utf16())
+            .flat_map(u16::to_le_bytes)
+            .collect()
     });
 }
 
 pub fn half_a_list(dir: &Scratch) {
-    changed(dir, "transforms_train.json", |bytes| bytes[..bytes.len() / 2].to_vec());
+    changed(dir, "transforms_train.json", |bytes| {
+        bytes[..bytes.len() / 2].to_vec()
+    });
 }
 
 pub fn nested_list(dir: &Scratch) {
@@ -143,7 +177,9 @@ pub fn link_in_a_circle(dir: &Scratch) {
 }
 
 pub fn private_file(dir: &Scratch) {
-    edited(dir, |list| list["frames"][0]["file_path"] = json!("../private.png"));
+    edited(dir, |list| {
+        list["frames"][0]["file_path"] = json!("../private.png")
+    });
     fs::copy(dir.path("capture/train/00000.png"), dir.path("private.png")).unwrap();
 }
 
@@ -152,9 +188,18 @@ pub fn bombs(dir: &Scratch) {
     let side = 16_000_u32;
     let mut rows = ZlibEncoder::new(Vec::new(), Compression::fast());
     (0..side).for_each(|_| rows.write_all(&vec![0; side as usize + 1]).unwrap());
-    let header = [&side.to_be_bytes()[..], &side.to_be_bytes(), &[8, 0, 0, 0, 0]].concat();
+    let header = [
+        &side.to_be_bytes()[..],
+        &side.to_be_bytes(),
+        &[8, 0, 0, 0, 0],
+    ]
+    .concat();
     let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
-    for (name, data) in [(b"IHDR", header), (b"IDAT", rows.finish().unwrap()), (b"IEND", Vec::new())] {
+    for (name, data) in [
+        (b"IHDR", header),
+        (b"IDAT", rows.finish().unwrap()),
+        (b"IEND", Vec::new()),
+    ] {
         let mut sum = Crc::new();
         [&name[..], &data].iter().for_each(|part| sum.update(part));
         file.extend((data.len() as u32).to_be_bytes());

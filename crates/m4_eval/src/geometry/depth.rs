@@ -28,8 +28,13 @@ impl Sum {
 
     fn score(&self) -> Option<(f64, f64, f64)> {
         let share = |part: usize, whole: usize| part as f64 / whole as f64;
-        (self.count > 0)
-            .then(|| (self.abs_rel / self.count as f64, share(self.within, self.count), share(self.count, self.truth)))
+        (self.count > 0).then(|| {
+            (
+                self.abs_rel / self.count as f64,
+                share(self.within, self.count),
+                share(self.count, self.truth),
+            )
+        })
     }
 }
 
@@ -37,8 +42,13 @@ pub(super) fn usable(z: f32) -> bool {
     z.is_finite() && z > 0.0
 }
 
-/// The pixel of a plane of size `to` that covers the centre of pixel `(x, y)` of one of size `from`.
-pub(super) fn covering((x, y): (usize, usize), from: (usize, usize), to: (usize, usize)) -> Option<(usize, usize)> {
+/// The pixel of a plane of size `to` that covers the centre of pixel `(x, y)` of one of size
+/// `from`.
+pub(super) fn covering(
+    (x, y): (usize, usize),
+    from: (usize, usize),
+    to: (usize, usize),
+) -> Option<(usize, usize)> {
     let at = |i: usize, n: usize, m: usize| (2 * i + 1) * m / (2 * n);
     let (x, y) = (at(x, from.0, to.0), at(y, from.1, to.1));
     (x < to.0 && y < to.1).then_some((x, y))
@@ -69,7 +79,9 @@ fn visit((estimate, truth): (&CaptureFrame, &CaptureFrame), mut f: impl FnMut(f6
         for x in (0..size.0).step_by(STRIDE_PX) {
             let z = truth.at(x, y);
             if usable(z) {
-                let region = match masks.map(|mask| mask.as_ref().is_some_and(|m| is_set(m, (x, y), size))) {
+                let region = match masks
+                    .map(|mask| mask.as_ref().is_some_and(|m| is_set(m, (x, y), size)))
+                {
                     [true, _] => Region::Dynamic,
                     [false, true] => Region::StaticInMask,
                     [false, false] => Region::Static,
@@ -86,13 +98,22 @@ fn visit((estimate, truth): (&CaptureFrame, &CaptureFrame), mut f: impl FnMut(f6
 
 /// `None` if no pair of frames has depth on both sides.
 pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<DepthError> {
-    let pairs: Vec<_> = pairs.iter().copied().filter(|(e, t)| e.depth.is_some() && t.depth.is_some()).collect();
+    let pairs: Vec<_> = pairs
+        .iter()
+        .copied()
+        .filter(|(e, t)| e.depth.is_some() && t.depth.is_some())
+        .collect();
     let mut ratios: Vec<f64> = Vec::new();
     let mut any = Vec::new();
     for &pair in &pairs {
         visit(pair, |e, z, region| {
             if e > 0.0 {
-                (if region == Region::Dynamic { &mut any } else { &mut ratios }).push(z / e);
+                (if region == Region::Dynamic {
+                    &mut any
+                } else {
+                    &mut ratios
+                })
+                .push(z / e);
             }
         });
     }
@@ -160,7 +181,13 @@ pub(super) fn mask_score(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<Mas
     if frames == 0 {
         return None;
     }
-    let share = |part: usize, whole: usize| if whole == 0 { 1.0 } else { part as f64 / whole as f64 };
+    let share = |part: usize, whole: usize| {
+        if whole == 0 {
+            1.0
+        } else {
+            part as f64 / whole as f64
+        }
+    };
     Some(MaskScore {
         frames,
         iou: share(both, estimated + truth - both),

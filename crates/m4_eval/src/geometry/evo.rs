@@ -1,8 +1,11 @@
-//! Errors of camera paths as the program `evo` defines them (Grupp, "evo: Python package for the evaluation of odometry and SLAM").
+//! Errors of camera paths as the program `evo` defines them (Grupp, "evo: Python package for the
+//! evaluation of odometry and SLAM").
 //!
-//! The absolute error compares poses of one frame after an alignment of the whole path (Umeyama 1991, over camera centres); the
-//! relative error compares the motions from one frame to another (Sturm et al., IROS 2012): `(T_i^-1 T_j)^-1 (E_i^-1 E_j)` for truth
-//! `T` and estimate `E`. Poses are camera to world; lengths are in units of the truth where the alignment scales, angles in degrees.
+//! The absolute error compares poses of one frame after an alignment of the whole path (Umeyama
+//! 1991, over camera centres); the relative error compares the motions from one frame to another
+//! (Sturm et al., IROS 2012): `(T_i^-1 T_j)^-1 (E_i^-1 E_j)` for truth `T` and estimate `E`. Poses
+//! are camera to world; lengths are in units of the truth where the alignment scales, angles in
+//! degrees.
 
 use super::report::{GeometryError, median_of_sorted, no_frames, not_finite};
 use super::trajectory::has_extent;
@@ -90,21 +93,29 @@ pub struct RelativeError {
 ///
 /// # Errors
 ///
-/// [`GeometryError`] if the paths have no poses, other numbers of them, or poses that are not finite, or if a path that is to be aligned
-/// has no extent.
+/// [`GeometryError`] if the paths have no poses, other numbers of them, or poses that are not
+/// finite, or if a path that is to be aligned has no extent.
 pub fn absolute_error(
     estimate: &[Se3<f64>],
     truth: &[Se3<f64>],
     alignment: PathAlignment,
 ) -> Result<AbsoluteError, GeometryError> {
     let (aligned, scale) = aligned(estimate, truth, alignment)?;
-    let apart = aligned.iter().zip(truth).map(|(e, t)| t.inverse().compose(e));
+    let apart = aligned
+        .iter()
+        .zip(truth)
+        .map(|(e, t)| t.inverse().compose(e));
     let apart: Vec<Se3<f64>> = apart.collect();
-    Ok(AbsoluteError { alignment, scale, translation: lengths(&apart), rotation_deg: angles(&apart) })
+    Ok(AbsoluteError {
+        alignment,
+        scale,
+        translation: lengths(&apart),
+        rotation_deg: angles(&apart),
+    })
 }
 
-/// The relative error of `estimate`, whose poses are of the same frames as those of `truth`, over pairs that lie `delta_frames` apart
-/// (1 for neighbours).
+/// The relative error of `estimate`, whose poses are of the same frames as those of `truth`, over
+/// pairs that lie `delta_frames` apart (1 for neighbours).
 ///
 /// # Errors
 ///
@@ -124,10 +135,17 @@ pub fn relative_error(
             truth.len()
         )));
     }
-    let motion = |path: &[Se3<f64>], i: usize| path[i * delta].inverse().compose(&path[(i + 1) * delta]);
+    let motion =
+        |path: &[Se3<f64>], i: usize| path[i * delta].inverse().compose(&path[(i + 1) * delta]);
     let apart = (0..pairs).map(|i| motion(truth, i).inverse().compose(&motion(&aligned, i)));
     let apart: Vec<Se3<f64>> = apart.collect();
-    Ok(RelativeError { alignment, delta_frames, pairs, translation: lengths(&apart), rotation_deg: angles(&apart) })
+    Ok(RelativeError {
+        alignment,
+        delta_frames,
+        pairs,
+        translation: lengths(&apart),
+        rotation_deg: angles(&apart),
+    })
 }
 
 fn lengths(motions: &[Se3<f64>]) -> ErrorStatistics {
@@ -149,7 +167,12 @@ fn aligned(
         if path.is_empty() {
             return Err(no_frames(which));
         }
-        let finite = |p: &Se3<f64>| p.rotation.iter().chain(p.translation.iter()).all(|v| v.is_finite());
+        let finite = |p: &Se3<f64>| {
+            p.rotation
+                .iter()
+                .chain(p.translation.iter())
+                .all(|v| v.is_finite())
+        };
         if let Some(i) = path.iter().position(|p| !finite(p)) {
             return Err(not_finite("the pose", &format!("number {i}"), which));
         }
@@ -161,7 +184,11 @@ fn aligned(
             truth.len()
         )));
     }
-    let centres = |path: &[Se3<f64>]| path.iter().map(|p| p.translation).collect::<Vec<Vector3<f64>>>();
+    let centres = |path: &[Se3<f64>]| {
+        path.iter()
+            .map(|p| p.translation)
+            .collect::<Vec<Vector3<f64>>>()
+    };
     let fit = || {
         let (from, to) = (centres(estimate), centres(truth));
         let extent = has_extent(&from) && has_extent(&to);
@@ -177,11 +204,19 @@ fn aligned(
         PathAlignment::Se3 => {
             // the best rotation does not depend on the scale
             let (sim, from, to) = fit()?;
-            let mean = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-            Sim3 { scale: 1.0, translation: mean(&to) - sim.rotation * mean(&from), ..sim }
+            let mean =
+                |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+            Sim3 {
+                scale: 1.0,
+                translation: mean(&to) - sim.rotation * mean(&from),
+                ..sim
+            }
         }
     };
-    let moved = |p: &Se3<f64>| Se3 { rotation: sim.rotation * p.rotation, translation: sim.transform(&p.translation) };
+    let moved = |p: &Se3<f64>| Se3 {
+        rotation: sim.rotation * p.rotation,
+        translation: sim.transform(&p.translation),
+    };
     Ok((estimate.iter().map(moved).collect(), sim.scale))
 }
 
@@ -194,7 +229,14 @@ mod tests {
     fn path(n: usize) -> Vec<Se3<f64>> {
         let pose = |i: usize| {
             let a = i as f64 * 0.4;
-            Se3::identity().retract(&Vector6::new(a.sin(), a.cos(), 0.3 * a, 0.1 * a, 0.0, 0.2 * a.sin()))
+            Se3::identity().retract(&Vector6::new(
+                a.sin(),
+                a.cos(),
+                0.3 * a,
+                0.1 * a,
+                0.0,
+                0.2 * a.sin(),
+            ))
         };
         (0..n).map(pose).collect()
     }
@@ -207,7 +249,9 @@ mod tests {
         let relative = relative_error(&estimate, &truth, PathAlignment::None, 1).unwrap();
         assert_eq!(relative.pairs, 8);
         let want = 0.1f64.to_degrees();
-        assert!((relative.rotation_deg.max - want).abs() < 1e-6 && relative.rotation_deg.median < 1e-6);
+        assert!(
+            (relative.rotation_deg.max - want).abs() < 1e-6 && relative.rotation_deg.median < 1e-6
+        );
         assert!((relative.rotation_deg.mean - want / 4.0).abs() < 1e-6);
         let absolute = absolute_error(&estimate, &truth, PathAlignment::None).unwrap();
         assert!((absolute.rotation_deg.mean - want / 9.0).abs() < 1e-6);
@@ -217,22 +261,35 @@ mod tests {
     fn incomparable_trajectories_are_rejected() {
         let truth = path(5);
         let still = vec![truth[0]; 5];
-        let absolute = |estimate: &[Se3<f64>], alignment| absolute_error(estimate, &truth, alignment);
+        let absolute =
+            |estimate: &[Se3<f64>], alignment| absolute_error(estimate, &truth, alignment);
         let mut bad = truth.clone();
         bad[3].rotation[(1, 1)] = f64::NAN;
         for (estimate, alignment, reason) in [
             (&still[..], PathAlignment::Sim3, "no extent"),
             (&still[..], PathAlignment::Se3, "no extent"),
-            (&truth[1..], PathAlignment::None, "4 poses and the ground truth 5"),
+            (
+                &truth[1..],
+                PathAlignment::None,
+                "4 poses and the ground truth 5",
+            ),
             (&[], PathAlignment::None, "the estimate has no frames"),
             (&bad[..], PathAlignment::None, "number 3"),
         ] {
             let error = absolute(estimate, alignment).unwrap_err().to_string();
             assert!(error.contains(reason), "{error}");
         }
-        assert!(absolute(&still, PathAlignment::None).unwrap().translation.max > 0.1);
+        assert!(
+            absolute(&still, PathAlignment::None)
+                .unwrap()
+                .translation
+                .max
+                > 0.1
+        );
         for delta in [0, 5] {
-            let error = relative_error(&truth, &truth, PathAlignment::None, delta).unwrap_err().to_string();
+            let error = relative_error(&truth, &truth, PathAlignment::None, delta)
+                .unwrap_err()
+                .to_string();
             assert!(error.contains("5 poses"), "{error}");
         }
     }

@@ -56,7 +56,10 @@ fn by_name(estimate: &Side<'_>, truth: &Side<'_>) -> Option<Vec<(usize, usize)>>
 /// # Errors
 ///
 /// [`GeometryError`] if a side has no frames, or some frame of the estimate no partner.
-pub(super) fn pair(estimate: &Side<'_>, truth: &Side<'_>) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
+pub(super) fn pair(
+    estimate: &Side<'_>,
+    truth: &Side<'_>,
+) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
     for (which, side) in [("estimate", estimate), ("truth", truth)] {
         if side.frames.is_empty() {
             return Err(no_frames(which));
@@ -66,13 +69,17 @@ pub(super) fn pair(estimate: &Side<'_>, truth: &Side<'_>) -> Result<(Matching, V
         return Ok((Matching::Name, pairs));
     }
     if estimate.frames.len() == truth.frames.len() {
-        return Ok((Matching::Order, (0..truth.frames.len()).map(|i| (i, i)).collect()));
+        return Ok((
+            Matching::Order,
+            (0..truth.frames.len()).map(|i| (i, i)).collect(),
+        ));
     }
     by_time(estimate, truth).map(|pairs| (Matching::Time, pairs))
 }
 
 fn by_time(estimate: &Side<'_>, truth: &Side<'_>) -> Result<Vec<(usize, usize)>, GeometryError> {
-    let share = |frame: &CaptureFrame, side: &Side<'_>| frame.t / (side.time_frames.max(2) - 1) as f64;
+    let share =
+        |frame: &CaptureFrame, side: &Side<'_>| frame.t / (side.time_frames.max(2) - 1) as f64;
     let spacing = 1.0 / (truth.time_frames.max(2) - 1) as f64;
     let (mut pairs, mut worst) = (Vec::new(), (0.0f64, 0usize));
     for (i, frame) in estimate.frames.iter().enumerate() {
@@ -123,19 +130,40 @@ mod tests {
     #[test]
     fn frames_pair_by_name_then_order_then_time() {
         let check = |estimate: &[&str], truth: &[&str], matching, pairs: &[(usize, usize)]| {
-            assert_eq!(pair(&named(estimate), &named(truth)).unwrap(), (matching, pairs.to_vec()));
+            assert_eq!(
+                pair(&named(estimate), &named(truth)).unwrap(),
+                (matching, pairs.to_vec())
+            );
         };
-        check(&["b.png", "a.png"], &["train/a.jpg", "train/b.jpg", "train/c.jpg"], Matching::Name, &[(0, 1), (1, 0)]);
-        check(&["1", "2", "3"], &["0", "1", "2"], Matching::Order, &[(0, 0), (1, 1), (2, 2)]);
+        check(
+            &["b.png", "a.png"],
+            &["train/a.jpg", "train/b.jpg", "train/c.jpg"],
+            Matching::Name,
+            &[(0, 1), (1, 0)],
+        );
+        check(
+            &["1", "2", "3"],
+            &["0", "1", "2"],
+            Matching::Order,
+            &[(0, 0), (1, 1), (2, 2)],
+        );
         // three frames that span the same clip as five
-        check(&["x", "y", "z"], &["0", "1", "2", "3", "4"], Matching::Time, &[(0, 0), (1, 2), (2, 4)]);
+        check(
+            &["x", "y", "z"],
+            &["0", "1", "2", "3", "4"],
+            Matching::Time,
+            &[(0, 0), (1, 2), (2, 4)],
+        );
     }
 
     #[test]
     fn other_counts_are_an_error_that_names_both() {
         let refused = |a: &[&str], b: &[&str]| pair(&named(a), &named(b)).unwrap_err().to_string();
         let error = refused(&["x", "y", "z", "w"], &["0", "1", "2", "3", "4"]);
-        assert!(error.starts_with("the estimate has 4 frames and the ground truth 5"), "{error}");
+        assert!(
+            error.starts_with("the estimate has 4 frames and the ground truth 5"),
+            "{error}"
+        );
         assert!(refused(&[], &["a"]).starts_with("the estimate has no frames"));
     }
 }

@@ -1,7 +1,9 @@
-//! Splits the depth error of dynamic objects by cause: distance (and its drift and jitter over time), relief, pixels that the mask missed.
+//! Splits the depth error of dynamic objects by cause: distance (and its drift and jitter over
+//! time), relief, pixels that the mask missed.
 //!
-//! One mean over all dynamic pixels mixes these, though each has another cure: an object at a wrong distance slides beside its true
-//! place in a novel view, a flat one is seen from the wrong side, and a missed pixel has the depth of the background.
+//! One mean over all dynamic pixels mixes these, though each has another cure: an object at a wrong
+//! distance slides beside its true place in a novel view, a flat one is seen from the wrong side,
+//! and a missed pixel has the depth of the background.
 
 use super::depth::{covering, is_set, usable};
 use super::report::median_of_sorted;
@@ -9,18 +11,22 @@ use m4_core::CaptureFrame;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Length of the window whose median is the slow part of an error of distance, seconds: nine frames at 24 per second.
+/// Length of the window whose median is the slow part of an error of distance, seconds: nine frames
+/// at 24 per second.
 const DRIFT_WINDOW_S: f64 = 0.375;
-/// Share of the image that an object must cover, in pixels that both masks hold, before its distance counts in a frame.
+/// Share of the image that an object must cover, in pixels that both masks hold, before its
+/// distance counts in a frame.
 const MIN_SHARE: f64 = 2e-4;
 /// Frames per second that are assumed where the truth does not say how long the clip is.
 const ASSUMED_FPS: f64 = 24.0;
 
-/// Errors of one object, all relative: 0.01 is 1 % of the distance. Each is `ln(scale * estimate / truth)` with the clip's factor
-/// ([`super::DepthError::scale`]) over pixels that both masks hold, `m(t)` its median in a frame.
+/// Errors of one object, all relative: 0.01 is 1 % of the distance. Each is
+/// `ln(scale * estimate / truth)` with the clip's factor ([`super::DepthError::scale`]) over pixels
+/// that both masks hold, `m(t)` its median in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ObjectError {
-    /// Number in the instance maps of the truth; 0 if it has none, and all dynamic pixels are one object.
+    /// Number in the instance maps of the truth; 0 if it has none, and all dynamic pixels are one
+    /// object.
     pub id: u16,
     /// Frames that show it, in which both masks hold at least a five-thousandth of the image.
     pub frames: usize,
@@ -40,15 +46,36 @@ pub struct ObjectError {
 
 /// The rows for people, all in per cent.
 pub(super) fn table(objects: &[ObjectError]) -> String {
-    let titles = ["object", "frames", "distance", "constant", "drift", "jitter", "relief", "missed"];
-    let row = |cells: [String; 8]| cells.iter().map(|cell| format!("{cell:>9}")).collect::<String>() + "\n";
+    let titles = [
+        "object", "frames", "distance", "constant", "drift", "jitter", "relief", "missed",
+    ];
+    let row = |cells: [String; 8]| {
+        cells
+            .iter()
+            .map(|cell| format!("{cell:>9}"))
+            .collect::<String>()
+            + "\n"
+    };
     let percent = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{:.1} %", 100.0 * v));
     let mut out = row(titles.map(str::to_owned));
     for o in objects {
-        let name = if o.id == 0 { "all".to_owned() } else { o.id.to_string() };
+        let name = if o.id == 0 {
+            "all".to_owned()
+        } else {
+            o.id.to_string()
+        };
         let [distance, constant, drift, jitter, relief] =
             [o.distance, o.constant, o.drift, o.jitter, o.relief].map(percent);
-        out += &row([name, o.frames.to_string(), distance, constant, drift, jitter, relief, percent(Some(o.missed))]);
+        out += &row([
+            name,
+            o.frames.to_string(),
+            distance,
+            constant,
+            drift,
+            jitter,
+            relief,
+            percent(Some(o.missed)),
+        ]);
     }
     out
 }
@@ -64,8 +91,9 @@ struct Sums {
     pixels: usize,
 }
 
-/// Errors per object, by number. Empty if no pair of frames has masks and depth on both sides. `scale` takes estimated to true
-/// depth, `seconds_per_frame` the unit of the truth's time to seconds, if known.
+/// Errors per object, by number. Empty if no pair of frames has masks and depth on both sides.
+/// `scale` takes estimated to true depth, `seconds_per_frame` the unit of the truth's time to
+/// seconds, if known.
 pub(super) fn object_errors(
     pairs: &[(&CaptureFrame, &CaptureFrame)],
     scale: f64,
@@ -89,7 +117,10 @@ pub(super) fn object_errors(
             sums.relief_pixels += errors.len();
         }
     }
-    objects.into_iter().map(|(id, sums)| sums.result(id)).collect()
+    objects
+        .into_iter()
+        .map(|(id, sums)| sums.result(id))
+        .collect()
 }
 
 impl Sums {
@@ -111,7 +142,12 @@ impl Sums {
         }
         self.medians.sort_by(|a, b| a.0.total_cmp(&b.0));
         let median_where = |inside: &dyn Fn(f64) -> bool| {
-            let mut values: Vec<f64> = self.medians.iter().filter(|m| inside(m.0)).map(|m| m.1).collect();
+            let mut values: Vec<f64> = self
+                .medians
+                .iter()
+                .filter(|m| inside(m.0))
+                .map(|m| m.1)
+                .collect();
             values.sort_by(f64::total_cmp);
             median_of_sorted(&values)
         };
@@ -149,10 +185,18 @@ struct InFrame {
 }
 
 /// The objects that the masks of the truth show.
-fn frame_errors(estimate: &CaptureFrame, truth: &CaptureFrame, scale: f64) -> BTreeMap<u16, InFrame> {
+fn frame_errors(
+    estimate: &CaptureFrame,
+    truth: &CaptureFrame,
+    scale: f64,
+) -> BTreeMap<u16, InFrame> {
     let mut found: BTreeMap<u16, InFrame> = BTreeMap::new();
-    let (Some(own_mask), Some(true_mask)) = (&estimate.mask, &truth.mask) else { return found };
-    let (Some(own), Some(depth)) = (&estimate.depth, &truth.depth) else { return found };
+    let (Some(own_mask), Some(true_mask)) = (&estimate.mask, &truth.mask) else {
+        return found;
+    };
+    let (Some(own), Some(depth)) = (&estimate.depth, &truth.depth) else {
+        return found;
+    };
     let size = true_mask.size();
     for (x, y) in true_mask.set_pixels() {
         let in_size = |to| covering((x, y), size, to);
@@ -168,10 +212,16 @@ fn frame_errors(estimate: &CaptureFrame, truth: &CaptureFrame, scale: f64) -> BT
             continue;
         }
         let at = |(x, y), map: &m4_core::CompactDepth| map.at(x, y);
-        let own = in_size(own.size()).map(|p| at(p, own)).filter(|&z| usable(z));
-        let depth = in_size(depth.size()).map(|p| at(p, depth)).filter(|&z| usable(z));
+        let own = in_size(own.size())
+            .map(|p| at(p, own))
+            .filter(|&z| usable(z));
+        let depth = in_size(depth.size())
+            .map(|p| at(p, depth))
+            .filter(|&z| usable(z));
         if let (Some(own), Some(depth)) = (own, depth) {
-            object.errors.push((scale * f64::from(own) / f64::from(depth)).ln());
+            object
+                .errors
+                .push((scale * f64::from(own) / f64::from(depth)).ln());
         }
     }
     found
@@ -210,13 +260,17 @@ mod tests {
 
     fn near(found: Option<f64>, expected: f64) {
         let found = found.unwrap();
-        assert!((found - expected).abs() < 2e-3, "{found} instead of {expected}");
+        assert!(
+            (found - expected).abs() < 2e-3,
+            "{found} instead of {expected}"
+        );
     }
 
     #[test]
     fn each_cause_is_seen_in_its_own_figure() {
         let n = 48;
-        // object 1 is 5 % too far; object 2 drifts from -4 % to 4 % over the clip and is 1 % too deep on one half, too near on the other
+        // object 1 is 5 % too far; object 2 drifts from -4 % to 4 % over the clip and is 1 % too
+        // deep on one half, too near on the other
         let drift = |i: usize| 0.08 * (i as f32 / (n - 1) as f32 - 0.5);
         let estimate = spoiled(n, |i, x| match x {
             0..4 => 1.05,
@@ -224,10 +278,17 @@ mod tests {
             _ => (drift(i) - 0.01).exp(),
         });
         let found = errors(&estimate, &truth(n));
-        assert_eq!(found.iter().map(|o| (o.id, o.frames, o.missed)).collect::<Vec<_>>(), [(1, n, 0.0), (2, n, 0.0)]);
+        assert_eq!(
+            found
+                .iter()
+                .map(|o| (o.id, o.frames, o.missed))
+                .collect::<Vec<_>>(),
+            [(1, n, 0.0), (2, n, 0.0)]
+        );
         let far = 1.05f64.ln();
-        for (object, [distance, constant, drift, relief]) in
-            found.iter().zip([[far, far, 0.0, 0.0], [0.02, 0.0, 0.02, 0.01]])
+        for (object, [distance, constant, drift, relief]) in found
+            .iter()
+            .zip([[far, far, 0.0, 0.0], [0.02, 0.0, 0.02, 0.01]])
         {
             near(object.distance, distance);
             near(object.constant, constant);
@@ -240,7 +301,9 @@ mod tests {
     #[test]
     fn jitter_is_what_changes_from_frame_to_frame() {
         let estimate = spoiled(48, |i, _| if i % 4 == 0 { 1.02 } else { 1.0 });
-        let [object, _] = errors(&estimate, &truth(48))[..] else { panic!("two objects") };
+        let [object, _] = errors(&estimate, &truth(48))[..] else {
+            panic!("two objects")
+        };
         near(object.distance, 0.005);
         near(object.drift, 0.0);
         near(object.jitter, 0.005);
@@ -256,6 +319,9 @@ mod tests {
         let found = errors(&estimate, &truth(4));
         assert_eq!(found[0].missed, 0.5);
         near(found[0].distance, 0.0);
-        assert_eq!((found[1].missed, found[1].distance, found[1].frames), (1.0, None, 0));
+        assert_eq!(
+            (found[1].missed, found[1].distance, found[1].frames),
+            (1.0, None, 0)
+        );
     }
 }

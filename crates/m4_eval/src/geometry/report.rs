@@ -3,8 +3,8 @@
 use super::matching::{Matching, Side, pair};
 use super::objects::{self, ObjectError, object_errors};
 use super::{
-    AbsoluteError, PathAlignment, RelativeError, RotationError, TrajectoryError, absolute_error, depth, relative_error,
-    trajectory,
+    AbsoluteError, PathAlignment, RelativeError, RotationError, TrajectoryError, absolute_error,
+    depth, relative_error, trajectory,
 };
 use m4_core::{Camera, Capture, CaptureFrame};
 use serde::{Deserialize, Serialize};
@@ -14,12 +14,13 @@ use serde::{Deserialize, Serialize};
 pub struct DepthError {
     /// Frames with depth on both sides.
     pub frames: usize,
-    /// The factor: median of truth / estimate over static pixels (over moving ones if there are no other).
+    /// The factor: median of truth / estimate over static pixels (over moving ones if there are no
+    /// other).
     pub scale: f64,
     /// Mean of `|scale * estimate - truth| / truth` over static pixels that the estimate covers.
     pub static_abs_rel: Option<f64>,
-    /// The same over those of them that the masks of the estimate leave static: without the errors of masks, inside of which depth is
-    /// that of dynamic objects.
+    /// The same over those of them that the masks of the estimate leave static: without the errors
+    /// of masks, inside of which depth is that of dynamic objects.
     #[serde(default)]
     pub static_outside_masks_abs_rel: Option<f64>,
     /// Share of those pixels within a factor of 1.25.
@@ -49,7 +50,8 @@ pub struct MaskScore {
     pub recall: f64,
 }
 
-/// Errors of an estimate against ground truth. Parts that cannot be compared are `None` and explained in `notes`.
+/// Errors of an estimate against ground truth. Parts that cannot be compared are `None` and
+/// explained in `notes`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GeometryReport {
     /// Pairs of frames compared.
@@ -75,7 +77,8 @@ pub struct GeometryReport {
     pub depth: Option<DepthError>,
     /// Motion masks, where both sides have them.
     pub mask: Option<MaskScore>,
-    /// Depth of each dynamic object, where both sides have depth and masks: the instances of the truth, or all of them as one.
+    /// Depth of each dynamic object, where both sides have depth and masks: the instances of the
+    /// truth, or all of them as one.
     #[serde(default)]
     pub objects: Vec<ObjectError>,
     /// Parts that could not be compared and why, one sentence each.
@@ -95,16 +98,32 @@ impl GeometryReport {
         };
         line("frames", format!("{}, paired by {by}", self.frames));
         if let Some(path) = &self.trajectory {
-            line("trajectory", format!("{:.2} % of the path (root mean square, after alignment)", path.rmse_percent));
+            line(
+                "trajectory",
+                format!(
+                    "{:.2} % of the path (root mean square, after alignment)",
+                    path.rmse_percent
+                ),
+            );
         }
         if let Some(rotation) = &self.rotation {
-            line("rotation", format!("{:.2} degrees (mean)", rotation.mean_deg));
+            line(
+                "rotation",
+                format!("{:.2} degrees (mean)", rotation.mean_deg),
+            );
         }
-        line("focal length", format!("{:+.2} %", self.focal_error_percent));
+        line(
+            "focal length",
+            format!("{:+.2} %", self.focal_error_percent),
+        );
         if let Some(depth) = &self.depth {
             let cell = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.4}"));
-            let [fixed, outside, moving] =
-                [depth.static_abs_rel, depth.static_outside_masks_abs_rel, depth.moving_abs_rel].map(cell);
+            let [fixed, outside, moving] = [
+                depth.static_abs_rel,
+                depth.static_outside_masks_abs_rel,
+                depth.moving_abs_rel,
+            ]
+            .map(cell);
             line(
                 "depth",
                 format!(
@@ -113,7 +132,13 @@ impl GeometryReport {
             );
         }
         if let Some(mask) = &self.mask {
-            line("masks", format!("IoU {:.3}, precision {:.3}, recall {:.3}", mask.iou, mask.precision, mask.recall));
+            line(
+                "masks",
+                format!(
+                    "IoU {:.3}, precision {:.3}, recall {:.3}",
+                    mask.iou, mask.precision, mask.recall
+                ),
+            );
         }
         if !self.objects.is_empty() {
             out += &objects::table(&self.objects);
@@ -134,21 +159,28 @@ impl GeometryReport {
 /// [`GeometryError`] if a side is empty, frames cannot be paired, or a camera is not finite.
 pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, GeometryError> {
     let metric = truth.metric;
-    let seconds_per_frame = truth.duration_s.map(|s| s / (truth.time_frames.max(2) - 1) as f64);
+    let seconds_per_frame = truth
+        .duration_s
+        .map(|s| s / (truth.time_frames.max(2) - 1) as f64);
     let (estimate, truth) = (training(estimate), training(truth));
     check_finite("estimate", &estimate)?;
     check_finite("truth", &truth)?;
     let (matching, index) = pair(&estimate, &truth)?;
-    let pairs: Vec<(&CaptureFrame, &CaptureFrame)> =
-        index.iter().map(|&(e, t)| (estimate.frames[e], truth.frames[t])).collect();
-    let cameras: (Vec<Camera>, Vec<Camera>) = pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
+    let pairs: Vec<(&CaptureFrame, &CaptureFrame)> = index
+        .iter()
+        .map(|&(e, t)| (estimate.frames[e], truth.frames[t]))
+        .collect();
+    let cameras: (Vec<Camera>, Vec<Camera>) =
+        pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
     let poses = |cameras: &[Camera]| cameras.iter().map(|c| c.c2w).collect::<Vec<_>>();
     let (estimated, true_poses) = (poses(&cameras.0), poses(&cameras.1));
     let relative_focal = |c: &Camera| c.intrinsics.fx / c.intrinsics.width as f64;
     let focal_error = |(e, t): (&Camera, &Camera)| relative_focal(e) / relative_focal(t) - 1.0;
     let focal_sum: f64 = cameras.0.iter().zip(&cameras.1).map(focal_error).sum();
     let depth = depth::depth_error(&pairs);
-    let objects = depth.map_or_else(Vec::new, |depth| object_errors(&pairs, depth.scale, seconds_per_frame));
+    let objects = depth.map_or_else(Vec::new, |depth| {
+        object_errors(&pairs, depth.scale, seconds_per_frame)
+    });
     let report = GeometryReport {
         frames: pairs.len(),
         matching,
@@ -174,12 +206,21 @@ fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>)
         }
     };
     let no_path = report.trajectory.is_none();
-    note(no_path, "trajectory: one of the paths has no extent, so there is nothing to align");
+    note(
+        no_path,
+        "trajectory: one of the paths has no extent, so there is nothing to align",
+    );
     let no_depth = report.depth.is_none();
     note(no_depth, "depth: no pair of frames has depth on both sides");
-    note(report.mask.is_none(), "masks: no pair of frames has a mask on both sides");
+    note(
+        report.mask.is_none(),
+        "masks: no pair of frames has a mask on both sides",
+    );
     let unknown = report.depth.is_some() && truth.frames.iter().all(|f| f.mask.is_none());
-    note(unknown, "depth: the ground truth has no masks, so every pixel counts as static");
+    note(
+        unknown,
+        "depth: the ground truth has no masks, so every pixel counts as static",
+    );
     // a part of a clip is numbered again: its 00001 need not be the whole clip's
     let (part, whole) = (estimate.frames.len(), truth.frames.len());
     if report.matching == Matching::Name && part != whole {
@@ -194,7 +235,11 @@ fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>)
 
 pub(super) fn training(capture: &Capture) -> Side<'_> {
     Side {
-        frames: capture.frames.iter().filter(|f| f.camera_index.is_none()).collect(),
+        frames: capture
+            .frames
+            .iter()
+            .filter(|f| f.camera_index.is_none())
+            .collect(),
         time_frames: capture.time_frames,
     }
 }
@@ -203,7 +248,11 @@ fn check_finite(which: &'static str, side: &Side<'_>) -> Result<(), GeometryErro
     for frame in &side.frames {
         let k = &frame.camera.intrinsics;
         let pose = &frame.camera.c2w;
-        let finite_pose = pose.rotation.iter().chain(pose.translation.iter()).all(|v| v.is_finite());
+        let finite_pose = pose
+            .rotation
+            .iter()
+            .chain(pose.translation.iter())
+            .all(|v| v.is_finite());
         let what = if !finite_pose {
             "the pose"
         } else if !(k.fx.is_finite() && k.fx > 0.0 && k.width > 0) {
@@ -225,14 +274,17 @@ pub(super) fn median_of_sorted(values: &[f64]) -> f64 {
     }
 }
 
-/// Why an estimate could not be compared with the truth: a side without frames, frames that cannot be paired, poses or focal
-/// lengths that are no numbers, or paths that cannot be aligned; the text says which.
+/// Why an estimate could not be compared with the truth: a side without frames, frames that cannot
+/// be paired, poses or focal lengths that are no numbers, or paths that cannot be aligned; the text
+/// says which.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{0}")]
 pub struct GeometryError(pub(super) String);
 
 pub(super) fn no_frames(which: &str) -> GeometryError {
-    GeometryError(format!("the {which} has no frames; nothing can be compared"))
+    GeometryError(format!(
+        "the {which} has no frames; nothing can be compared"
+    ))
 }
 
 pub(super) fn not_finite(what: &str, name: &str, which: &str) -> GeometryError {
@@ -244,7 +296,9 @@ pub(super) fn not_finite(what: &str, name: &str, which: &str) -> GeometryError {
 #[cfg(test)]
 pub(super) mod tests {
     use super::{GeometryReport, Matching, evaluate};
-    use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3, nalgebra::Vector6};
+    use m4_core::{
+        Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3, nalgebra::Vector6,
+    };
 
     /// `n` frames on a curve, depth 2 everywhere but 4 in the moving left half; 16x12.
     pub(crate) fn capture(n: usize) -> Capture {
@@ -254,7 +308,14 @@ pub(super) mod tests {
                 name: format!("train/{i:05}.jpg"),
                 camera: Camera {
                     intrinsics: Intrinsics::centred(16, 12, 15.0),
-                    c2w: Se3::identity().retract(&Vector6::new(a, a * a, a.sin(), 0.1 * a, 0.0, 0.2 * a)),
+                    c2w: Se3::identity().retract(&Vector6::new(
+                        a,
+                        a * a,
+                        a.sin(),
+                        0.1 * a,
+                        0.0,
+                        0.2 * a,
+                    )),
                 },
                 t: i as f64,
                 rgb: Plane::filled(16, 12, [0; 3]),
@@ -265,7 +326,13 @@ pub(super) mod tests {
                 camera_index: None,
             }
         };
-        Capture { frames: (0..n).map(frame).collect(), time_frames: n, duration_s: None, metric: true, tracks: None }
+        Capture {
+            frames: (0..n).map(frame).collect(),
+            time_frames: n,
+            duration_s: None,
+            metric: true,
+            tracks: None,
+        }
     }
 
     #[test]
@@ -273,9 +340,14 @@ pub(super) mod tests {
         let report = evaluate(&capture(5), &capture(5)).unwrap();
         assert_eq!((report.frames, report.matching), (5, Matching::Name));
         assert!(report.trajectory.unwrap().rmse < 1e-9 && report.focal_error_percent.abs() < 1e-12);
-        assert!(report.absolute.unwrap().translation.max < 1e-9 && report.relative.unwrap().pairs == 4);
+        assert!(
+            report.absolute.unwrap().translation.max < 1e-9 && report.relative.unwrap().pairs == 4
+        );
         let depth = report.depth.unwrap();
-        assert_eq!((depth.static_abs_rel, depth.moving_abs_rel), (Some(0.0), Some(0.0)));
+        assert_eq!(
+            (depth.static_abs_rel, depth.moving_abs_rel),
+            (Some(0.0), Some(0.0))
+        );
         assert_eq!(report.mask.unwrap().iou, 1.0);
         assert!(report.notes.is_empty());
     }
@@ -284,7 +356,8 @@ pub(super) mod tests {
     fn depth_is_compared_after_the_factor_of_static_pixels() {
         let mut estimate = capture(3);
         for frame in &mut estimate.frames {
-            // A quarter of the size; static depth halved, moving depth 1 instead of 4, one column unknown.
+            // A quarter of the size; static depth halved, moving depth 1 instead of 4, one column
+            // unknown.
             frame.depth = Some(Plane::from_fn(8, 6, |x, _| if x == 7 { 0.0 } else { 1.0 }).into());
         }
         let depth = evaluate(&estimate, &capture(3)).unwrap().depth.unwrap();
@@ -301,7 +374,8 @@ pub(super) mod tests {
         for frame in &mut estimate.frames {
             // a quarter of the static half is in the mask, and as far as the dynamic half
             frame.mask = Some(CompactMask::from_fn(16, 12, |x, _| x < 10));
-            frame.depth = Some(Plane::from_fn(16, 12, |x, _| if x < 10 { 4.0 } else { 2.0 }).into());
+            frame.depth =
+                Some(Plane::from_fn(16, 12, |x, _| if x < 10 { 4.0 } else { 2.0 }).into());
         }
         let depth = evaluate(&estimate, &capture(2)).unwrap().depth.unwrap();
         assert_eq!(depth.static_outside_masks_abs_rel, Some(0.0));
@@ -315,7 +389,9 @@ pub(super) mod tests {
             frame.mask = Some(CompactMask::from_fn(16, 12, |x, _| (4..12).contains(&x)));
         }
         let mask = evaluate(&estimate, &capture(2)).unwrap().mask.unwrap();
-        assert!((mask.iou - 4.0 / 12.0).abs() < 1e-12 && (mask.mean_frame_iou - mask.iou).abs() < 1e-12);
+        assert!(
+            (mask.iou - 4.0 / 12.0).abs() < 1e-12 && (mask.mean_frame_iou - mask.iou).abs() < 1e-12
+        );
         assert_eq!((mask.precision, mask.recall), (0.5, 0.5));
     }
 
@@ -336,10 +412,16 @@ pub(super) mod tests {
             (frame.depth, frame.mask) = (None, None);
         }
         let report = evaluate(&capture(3), &truth).unwrap();
-        assert!(report.depth.is_none() && report.mask.is_none() && report.notes.len() == 2, "{report:?}");
+        assert!(
+            report.depth.is_none() && report.mask.is_none() && report.notes.len() == 2,
+            "{report:?}"
+        );
         let text = serde_json::to_string(&report).unwrap();
         let back = serde_json::from_str::<GeometryReport>(&text).unwrap();
-        assert_eq!((back.depth, back.mask, back.notes), (report.depth, report.mask, report.notes));
+        assert_eq!(
+            (back.depth, back.mask, back.notes),
+            (report.depth, report.mask, report.notes)
+        );
         assert!((back.trajectory.unwrap().scale - 1.0).abs() < 1e-9);
     }
 
@@ -347,7 +429,10 @@ pub(super) mod tests {
     fn partial_match_by_name_warns() {
         let doubted = |estimate, truth| {
             let report = evaluate(&capture(estimate), &capture(truth)).unwrap();
-            report.notes.iter().any(|note| note.contains("numbered anew"))
+            report
+                .notes
+                .iter()
+                .any(|note| note.contains("numbered anew"))
         };
         assert!(doubted(3, 5) && !doubted(5, 5));
     }
@@ -359,6 +444,9 @@ pub(super) mod tests {
         assert_eq!(evaluate(&capture(3), &truth).unwrap().frames, 3);
         truth.frames[1].camera.c2w.translation.x = f64::NAN;
         let error = evaluate(&capture(3), &truth).unwrap_err().to_string();
-        assert!(error.contains("the pose of frame") && error.contains("of the truth"), "{error}");
+        assert!(
+            error.contains("the pose of frame") && error.contains("of the truth"),
+            "{error}"
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Captures in which one kind of estimate is replaced by the truth: which of them costs how much is seen by warping or training each.
+//! Captures in which one kind of estimate is replaced by the truth: which of them costs how much is
+//! seen by warping or training each.
 
 use super::depth::{covering, depth_error, usable};
 use super::matching::pair;
@@ -59,7 +60,8 @@ impl Substitution {
 /// The training frames of an estimate in the world and unit of the truth, beside it.
 pub struct Substitutes<'a> {
     pairs: Vec<(CaptureFrame, &'a CaptureFrame)>,
-    /// Units of the truth per unit of the estimate, by depth of static pixels over that by cameras: for estimated depth with true cameras.
+    /// Units of the truth per unit of the estimate, by depth of static pixels over that by cameras:
+    /// for estimated depth with true cameras.
     depth_over_cameras: f64,
     time_frames: usize,
     duration_s: Option<f64>,
@@ -70,12 +72,15 @@ impl<'a> Substitutes<'a> {
     ///
     /// # Errors
     ///
-    /// [`GeometryError`] if frames cannot be paired, depth or masks are missing, or the cameras do not determine the similarity.
+    /// [`GeometryError`] if frames cannot be paired, depth or masks are missing, or the cameras do
+    /// not determine the similarity.
     pub fn new(estimate: &Capture, truth: &'a Capture) -> Result<Self, GeometryError> {
         let (own, known) = (training(estimate), training(truth));
         let (_, index) = pair(&own, &known)?;
-        let pairs: Vec<(&CaptureFrame, &CaptureFrame)> =
-            index.iter().map(|&(e, t)| (own.frames[e], known.frames[t])).collect();
+        let pairs: Vec<(&CaptureFrame, &CaptureFrame)> = index
+            .iter()
+            .map(|&(e, t)| (own.frames[e], known.frames[t]))
+            .collect();
         let complete = |f: &CaptureFrame| f.depth.is_some() && f.mask.is_some();
         if let Some((e, t)) = pairs.iter().find(|(e, t)| !complete(e) || !complete(t)) {
             return Err(GeometryError(format!(
@@ -83,7 +88,8 @@ impl<'a> Substitutes<'a> {
                 e.name, t.name
             )));
         }
-        let (cameras, known): (Vec<Camera>, Vec<Camera>) = pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
+        let (cameras, known): (Vec<Camera>, Vec<Camera>) =
+            pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
         let map = placement(&cameras, &known);
         let (Some(map), Some(depth)) = (map, depth_error(&pairs)) else {
             return Err(GeometryError(
@@ -91,8 +97,14 @@ impl<'a> Substitutes<'a> {
             ));
         };
         let place = |frame: &CaptureFrame| CaptureFrame {
-            camera: Camera { c2w: map.transform_pose(&frame.camera.c2w), ..frame.camera },
-            depth: frame.depth.as_ref().map(|d| d.to_map().map(|z| z * map.scale as f32).into()),
+            camera: Camera {
+                c2w: map.transform_pose(&frame.camera.c2w),
+                ..frame.camera
+            },
+            depth: frame
+                .depth
+                .as_ref()
+                .map(|d| d.to_map().map(|z| z * map.scale as f32).into()),
             ..frame.clone()
         };
         Ok(Self {
@@ -106,23 +118,43 @@ impl<'a> Substitutes<'a> {
     /// The capture with `what` replaced, in the world and unit of the truth.
     #[must_use]
     pub fn capture(&self, what: Substitution) -> Capture {
-        let frames = self.pairs.iter().map(|(own, truth)| self.frame(own, truth, what)).collect();
-        Capture { frames, time_frames: self.time_frames, duration_s: self.duration_s, metric: true, tracks: None }
+        let frames = self
+            .pairs
+            .iter()
+            .map(|(own, truth)| self.frame(own, truth, what))
+            .collect();
+        Capture {
+            frames,
+            time_frames: self.time_frames,
+            duration_s: self.duration_s,
+            metric: true,
+            tracks: None,
+        }
     }
 
     fn frame(&self, own: &CaptureFrame, truth: &CaptureFrame, what: Substitution) -> CaptureFrame {
         use Substitution as S;
         let mut out = own.clone();
-        let Some(both) = Both::new(own, truth) else { return out };
+        let Some(both) = Both::new(own, truth) else {
+            return out;
+        };
         let depth = match what {
             S::None | S::Masks => None,
             S::Cameras => Some(both.own.map(|z| z * self.depth_over_cameras as f32)),
             S::Distance => Some(both.by_object(truth, |own, _, error| own * (-error).exp() as f32)),
             S::Relief => Some(both.by_object(truth, |_, truth, error| truth * error.exp() as f32)),
-            S::DynamicDepth | S::Dynamic => Some(both.choose(|own_mask, true_mask| own_mask || true_mask)),
+            S::DynamicDepth | S::Dynamic => {
+                Some(both.choose(|own_mask, true_mask| own_mask || true_mask))
+            }
             S::AllButStaticDepth => {
                 let static_depth = both.own.map(|z| z * self.depth_over_cameras as f32);
-                Some(Both { own: static_depth, ..both }.choose(|own_mask, true_mask| own_mask || true_mask))
+                Some(
+                    Both {
+                        own: static_depth,
+                        ..both
+                    }
+                    .choose(|own_mask, true_mask| own_mask || true_mask),
+                )
             }
             S::StaticDepth => Some(both.choose(|own_mask, _| !own_mask)),
             S::MasksAndDepth | S::All => Some(both.choose(|_, _| true)),
@@ -130,13 +162,19 @@ impl<'a> Substitutes<'a> {
         if let Some(depth) = depth {
             out.depth = Some(depth.into());
         }
-        if matches!(what, S::Masks | S::Dynamic | S::MasksAndDepth | S::AllButStaticDepth | S::All) {
+        if matches!(
+            what,
+            S::Masks | S::Dynamic | S::MasksAndDepth | S::AllButStaticDepth | S::All
+        ) {
             (out.mask, out.instances) = (truth.mask.clone(), truth.instances.clone());
         }
         if matches!(what, S::Cameras | S::AllButStaticDepth | S::All) {
             out.camera = Camera {
                 c2w: truth.camera.c2w,
-                intrinsics: truth.camera.resized(own.rgb.width(), own.rgb.height()).intrinsics,
+                intrinsics: truth
+                    .camera
+                    .resized(own.rgb.width(), own.rgb.height())
+                    .intrinsics,
             };
         }
         out
@@ -153,13 +191,19 @@ struct Both {
 
 impl Both {
     fn new(own: &CaptureFrame, truth: &CaptureFrame) -> Option<Self> {
-        let (own_depth, true_depth): (_, &CompactDepth) = (own.depth.as_ref()?.to_map(), truth.depth.as_ref()?);
+        let (own_depth, true_depth): (_, &CompactDepth) =
+            (own.depth.as_ref()?.to_map(), truth.depth.as_ref()?);
         let (w, h) = own_depth.size();
         let of = |x, y, to| covering((x, y), (w, h), to);
-        let mask =
-            |m: &CompactMask| CompactMask::from_fn(w, h, |x, y| of(x, y, m.size()).is_some_and(|(x, y)| m.at(x, y)));
+        let mask = |m: &CompactMask| {
+            CompactMask::from_fn(w, h, |x, y| {
+                of(x, y, m.size()).is_some_and(|(x, y)| m.at(x, y))
+            })
+        };
         Some(Self {
-            truth: Plane::from_fn(w, h, |x, y| of(x, y, true_depth.size()).map_or(0.0, |(x, y)| true_depth.at(x, y))),
+            truth: Plane::from_fn(w, h, |x, y| {
+                of(x, y, true_depth.size()).map_or(0.0, |(x, y)| true_depth.at(x, y))
+            }),
             own_mask: mask(own.mask.as_ref()?),
             true_mask: mask(truth.mask.as_ref()?),
             own: own_depth,
@@ -170,13 +214,18 @@ impl Both {
     fn choose(&self, f: impl Fn(bool, bool) -> bool) -> DepthMap {
         let (w, h) = self.own.size();
         Plane::from_fn(w, h, |x, y| {
-            let chosen = f(self.own_mask.at(x, y), self.true_mask.at(x, y)) && usable(self.truth[(x, y)]);
-            if chosen { self.truth[(x, y)] } else { self.own[(x, y)] }
+            let chosen =
+                f(self.own_mask.at(x, y), self.true_mask.at(x, y)) && usable(self.truth[(x, y)]);
+            if chosen {
+                self.truth[(x, y)]
+            } else {
+                self.own[(x, y)]
+            }
         })
     }
 
-    /// `f(own, true, median of ln(own / true))` of the pixels of each object that both masks hold: objects are the instances of the
-    /// truth, or all dynamic pixels as one.
+    /// `f(own, true, median of ln(own / true))` of the pixels of each object that both masks hold:
+    /// objects are the instances of the truth, or all dynamic pixels as one.
     fn by_object(&self, truth: &CaptureFrame, f: impl Fn(f32, f32, f64) -> f32) -> DepthMap {
         let mut out = self.own.clone();
         let (w, h) = self.own.size();
@@ -185,15 +234,27 @@ impl Both {
             covering((x, y), (w, h), ids.size()).map(|(x, y)| ids.at(x, y))
         };
         let mut objects: BTreeMap<u16, Vec<(usize, usize)>> = BTreeMap::new();
-        for (x, y) in self.own_mask.set_pixels().filter(|&(x, y)| self.true_mask.at(x, y)) {
+        for (x, y) in self
+            .own_mask
+            .set_pixels()
+            .filter(|&(x, y)| self.true_mask.at(x, y))
+        {
             if usable(self.own[(x, y)]) && usable(self.truth[(x, y)]) {
-                objects.entry(id(x, y).unwrap_or(0)).or_default().push((x, y));
+                objects
+                    .entry(id(x, y).unwrap_or(0))
+                    .or_default()
+                    .push((x, y));
             }
         }
 
-        for pixels in objects.into_values().filter(|pixels| pixels.len() >= LEAST_PIXELS) {
-            let mut errors: Vec<f64> =
-                pixels.iter().map(|&p| (f64::from(self.own[p]) / f64::from(self.truth[p])).ln()).collect();
+        for pixels in objects
+            .into_values()
+            .filter(|pixels| pixels.len() >= LEAST_PIXELS)
+        {
+            let mut errors: Vec<f64> = pixels
+                .iter()
+                .map(|&p| (f64::from(self.own[p]) / f64::from(self.truth[p])).ln())
+                .collect();
             errors.sort_by(f64::total_cmp);
             let error = median_of_sorted(&errors);
             for p in pixels {
@@ -211,12 +272,20 @@ mod tests {
     use m4_core::nalgebra::Vector3;
     use m4_core::{Camera, Capture, CompactMask, Plane, Sim3};
 
-    /// The truth in another world and unit; dynamic depth 10 % too far with a relief of 2 %, static depth 1 % too far, masks one column short.
+    /// The truth in another world and unit; dynamic depth 10 % too far with a relief of 2 %, static
+    /// depth 1 % too far, masks one column short.
     fn estimate(truth: &Capture) -> Capture {
-        let map = Sim3 { scale: 0.5, translation: Vector3::new(3.0, 1.0, -2.0), ..Sim3::identity() };
+        let map = Sim3 {
+            scale: 0.5,
+            translation: Vector3::new(3.0, 1.0, -2.0),
+            ..Sim3::identity()
+        };
         let mut own = truth.clone();
         for frame in &mut own.frames {
-            frame.camera = Camera { c2w: map.transform_pose(&frame.camera.c2w), ..frame.camera };
+            frame.camera = Camera {
+                c2w: map.transform_pose(&frame.camera.c2w),
+                ..frame.camera
+            };
             let wrong = |x: usize, y: usize| match (x < 8, y % 2) {
                 (true, 0) => 4.0 * 1.12,
                 (true, _) => 4.0 * 1.08,
@@ -235,10 +304,20 @@ mod tests {
         let all = Substitutes::new(&own, &truth).unwrap();
         let of = |what| all.capture(what).frames.swap_remove(2);
         let depth = |what, at: (usize, usize)| of(what).depth.unwrap().at(at.0, at.1);
-        let close =
-            |found: f32, expected: f32| assert!((found - expected).abs() < 2e-3, "{found} instead of {expected}");
-        // as estimated, in the true unit; rows 0 and 1 of a dynamic column, the missed column, a static one
-        for (at, z) in [((2, 0), 4.48), ((2, 1), 4.32), ((7, 0), 4.48), ((12, 0), 2.02)] {
+        let close = |found: f32, expected: f32| {
+            assert!(
+                (found - expected).abs() < 2e-3,
+                "{found} instead of {expected}"
+            )
+        };
+        // as estimated, in the true unit; rows 0 and 1 of a dynamic column, the missed column, a
+        // static one
+        for (at, z) in [
+            ((2, 0), 4.48),
+            ((2, 1), 4.32),
+            ((7, 0), 4.48),
+            ((12, 0), 2.02),
+        ] {
             close(depth(Substitution::None, at), z);
         }
         let middle = (4.0f32 * 1.12 * 4.0 * 1.08).sqrt() / 4.0;
@@ -253,16 +332,25 @@ mod tests {
         close(depth(Substitution::Cameras, (12, 0)), 2.0);
         let set = |what| of(what).mask.unwrap().count();
         assert_eq!(
-            (set(Substitution::None), set(Substitution::Masks), set(Substitution::All)),
+            (
+                set(Substitution::None),
+                set(Substitution::Masks),
+                set(Substitution::All)
+            ),
             (7 * 12, 8 * 12, 8 * 12)
         );
         let only_static = |what| (depth(what, (2, 0)), depth(what, (7, 1)), set(what));
         assert_eq!(only_static(Substitution::Dynamic), (4.0, 4.0, 8 * 12));
-        assert_eq!(only_static(Substitution::AllButStaticDepth), (4.0, 4.0, 8 * 12));
+        assert_eq!(
+            only_static(Substitution::AllButStaticDepth),
+            (4.0, 4.0, 8 * 12)
+        );
         close(depth(Substitution::Dynamic, (12, 0)), 2.02);
         close(depth(Substitution::AllButStaticDepth, (12, 0)), 2.0);
         let pose = |what| of(what).camera.centre() - truth.frames[2].camera.centre();
-        assert!(pose(Substitution::None).norm() < 1e-9 && pose(Substitution::Cameras).norm() < 1e-12);
+        assert!(
+            pose(Substitution::None).norm() < 1e-9 && pose(Substitution::Cameras).norm() < 1e-12
+        );
         close(depth(Substitution::All, (7, 1)), 4.0);
     }
 
@@ -272,6 +360,9 @@ mod tests {
         let mut own = capture(3);
         own.frames[1].depth = None;
         let error = Substitutes::new(&own, &truth).err().unwrap().to_string();
-        assert!(error.contains("00001") && error.contains("no depth"), "{error}");
+        assert!(
+            error.contains("00001") && error.contains("no depth"),
+            "{error}"
+        );
     }
 }

@@ -1,20 +1,23 @@
-//! Co-visibility: the pixels of a test image that the training frames saw. Scores elsewhere would measure invention, not reconstruction.
+//! Co-visibility: the pixels of a test image that the training frames saw. Scores elsewhere would
+//! measure invention, not reconstruction.
 //!
 //! ```text
 //! test image, each training frame --depth and poses--> which pixels it saw --CovisibleCounts--> mask
 //! ```
 //!
-//! DyCheck (Gao et al., NeurIPS 2022, section 3.2) counts, for each pixel of the test image, the training frames in which it is
-//! not occluded by the forward-backward check of optical flow, and keeps those that more than
-//! max(5, a tenth of the frames) saw. The masks that its authors publish (`covisible/2x/val`) were made so with RAFT; where they are
-//! at hand they should be used, for figures to be comparable. [`seen_by_depth`] serves captures that have depth and poses instead: it
-//! cannot follow the dynamic part, so that a moving thing counts as seen only by the frames in which it stands where it stood.
+//! DyCheck (Gao et al., NeurIPS 2022, section 3.2) counts, for each pixel of the test image, the
+//! training frames in which it is not occluded by the forward-backward check of optical flow, and
+//! keeps those that more than max(5, a tenth of the frames) saw. The masks that its authors publish
+//! (`covisible/2x/val`) were made so with RAFT; where they are at hand they should be used, for
+//! figures to be comparable. [`seen_by_depth`] serves captures that have depth and poses instead:
+//! it cannot follow the dynamic part, so that a moving thing counts as seen only by the frames in
+//! which it stands where it stood.
 
 use super::{ImageError, same_size};
 use m4_core::{Camera, DepthMap, Mask, Plane};
 
-/// How many training frames are not enough: a covisible pixel was seen by more. As `process_covisible.py` of DyCheck has it, though
-/// its paper and others write "at least".
+/// How many training frames are not enough: a covisible pixel was seen by more. As
+/// `process_covisible.py` of DyCheck has it, though its paper and others write "at least".
 #[must_use]
 pub fn too_few_frames(training_frames: usize) -> usize {
     (training_frames / 10).max(5)
@@ -31,7 +34,10 @@ impl CovisibleCounts {
     /// None yet, for an image of `width` by `height`.
     #[must_use]
     pub fn new(width: usize, height: usize) -> Self {
-        Self { counts: Plane::filled(width, height, 0), frames: 0 }
+        Self {
+            counts: Plane::filled(width, height, 0),
+            frames: 0,
+        }
     }
 
     /// Adds a training frame, which saw the pixels of the test image that are not 0 in `seen`.
@@ -40,7 +46,11 @@ impl CovisibleCounts {
     ///
     /// [`ImageError`] if `seen` has another size.
     pub fn add(&mut self, seen: &Mask) -> Result<(), ImageError> {
-        same_size("the mask of what a training frame saw", self.counts.size(), seen.size())?;
+        same_size(
+            "the mask of what a training frame saw",
+            self.counts.size(),
+            seen.size(),
+        )?;
         for (count, &seen) in self.counts.data_mut().iter_mut().zip(seen.data()) {
             *count += u32::from(seen != 0);
         }
@@ -56,8 +66,9 @@ impl CovisibleCounts {
     }
 }
 
-/// By how much of itself a depth may differ and still be of the same surface: 5 %. Depth that was estimated agrees between frames to
-/// some per cent; what hides something else is usually further in front of it.
+/// By how much of itself a depth may differ and still be of the same surface: 5 %. Depth that was
+/// estimated agrees between frames to some per cent; what hides something else is usually further
+/// in front of it.
 pub const DEPTH_TOLERANCE: f64 = 0.05;
 
 /// A frame with its depth.
@@ -65,7 +76,8 @@ pub const DEPTH_TOLERANCE: f64 = 0.05;
 pub struct DepthView<'a> {
     /// Where it was taken, in the world of the other frames.
     pub camera: &'a Camera,
-    /// z-depth in the units of that world, `[height][width]` of the camera's image; not above 0 or not finite where unknown.
+    /// z-depth in the units of that world, `[height][width]` of the camera's image; not above 0 or
+    /// not finite where unknown.
     pub depth: &'a DepthMap,
 }
 
@@ -81,15 +93,20 @@ impl DepthView<'_> {
     }
 }
 
-/// 255 where a pixel of `test` is seen by `training`: its point lies in front of the training camera, lands in its image, and the depth of
-/// the pixel there differs from the point's by at most `tolerance` times itself ([`DEPTH_TOLERANCE`] where there is no reason for another).
-/// A point that is hidden there, one that floats before the surface there, and one whose depth is unknown on either side are not
-/// seen.
+/// 255 where a pixel of `test` is seen by `training`: its point lies in front of the training
+/// camera, lands in its image, and the depth of the pixel there differs from the point's by at most
+/// `tolerance` times itself ([`DEPTH_TOLERANCE`] where there is no reason for another). A point
+/// that is hidden there, one that floats before the surface there, and one whose depth is unknown
+/// on either side are not seen.
 ///
 /// # Errors
 ///
 /// [`ImageError`] if a depth map has another size than its camera's image.
-pub fn seen_by_depth(test: DepthView<'_>, training: DepthView<'_>, tolerance: f64) -> Result<Mask, ImageError> {
+pub fn seen_by_depth(
+    test: DepthView<'_>,
+    training: DepthView<'_>,
+    tolerance: f64,
+) -> Result<Mask, ImageError> {
     test.check("the depth of the test image")?;
     training.check("the depth of a training frame")?;
     let (width, height) = training.depth.size();
@@ -103,7 +120,9 @@ pub fn seen_by_depth(test: DepthView<'_>, training: DepthView<'_>, tolerance: f6
         ((z - there).abs() <= tolerance * there).then_some(())
     };
     let (width, height) = test.depth.size();
-    Ok(Plane::from_fn(width, height, |x, y| if seen(x, y).is_some() { 255 } else { 0 }))
+    Ok(Plane::from_fn(width, height, |x, y| {
+        if seen(x, y).is_some() { 255 } else { 0 }
+    }))
 }
 
 #[cfg(test)]
@@ -127,17 +146,28 @@ mod tests {
     fn camera(x: f64) -> Camera {
         Camera {
             intrinsics: Intrinsics::centred(20, 10, 10.0),
-            c2w: Se3 { translation: Vector3::new(x, 0.0, 0.0), ..Se3::identity() },
+            c2w: Se3 {
+                translation: Vector3::new(x, 0.0, 0.0),
+                ..Se3::identity()
+            },
         }
     }
 
-    /// A wall at 4 with a box at 2 before it, seen from two places: what the box hides there is not seen.
+    /// A wall at 4 with a box at 2 before it, seen from two places: what the box hides there is not
+    /// seen.
     #[test]
     fn occluded_pixels_are_not_covisible() {
         let (here, there) = (camera(0.0), camera(1.0));
         // the box spans x from 0 to 1 in the world: columns 10..15 here, 5..10 there
-        let of =
-            |first: usize| Plane::from_fn(20, 10, move |x, _| if (first..first + 5).contains(&x) { 2.0 } else { 4.0 });
+        let of = |first: usize| {
+            Plane::from_fn(20, 10, move |x, _| {
+                if (first..first + 5).contains(&x) {
+                    2.0
+                } else {
+                    4.0
+                }
+            })
+        };
         let (a, b) = (of(10), of(5));
         let view = |camera, depth| DepthView { camera, depth };
         let seen = seen_by_depth(view(&here, &a), view(&there, &b), DEPTH_TOLERANCE).unwrap();
@@ -150,7 +180,11 @@ mod tests {
                     _ => x >= 3 && !(8..13).contains(&x),
                 };
                 let edge = [2, 3, 7, 8, 12, 13].contains(&x);
-                assert!(edge || (seen[(x, y)] == 255) == want, "{x}, {y}: {}", seen[(x, y)]);
+                assert!(
+                    edge || (seen[(x, y)] == 255) == want,
+                    "{x}, {y}: {}",
+                    seen[(x, y)]
+                );
             }
         }
         let count = seen.data().iter().filter(|&&m| m != 0).count();
@@ -163,11 +197,27 @@ mod tests {
         let flat = |z: f32| Plane::filled(20, 10, z);
         let share = |a: f32, b: f32, tolerance| {
             let (a, b) = (flat(a), flat(b));
-            let (test, training) = (DepthView { camera: &here, depth: &a }, DepthView { camera: &there, depth: &b });
+            let (test, training) = (
+                DepthView {
+                    camera: &here,
+                    depth: &a,
+                },
+                DepthView {
+                    camera: &there,
+                    depth: &b,
+                },
+            );
             let seen = seen_by_depth(test, training, tolerance).unwrap();
             seen.data().iter().filter(|&&m| m != 0).count() as f64 / 200.0
         };
-        assert_eq!((share(4.1, 4.0, 0.05), share(4.3, 4.0, 0.05), share(4.3, 4.0, 0.1)), (1.0, 0.0, 1.0));
+        assert_eq!(
+            (
+                share(4.1, 4.0, 0.05),
+                share(4.3, 4.0, 0.05),
+                share(4.3, 4.0, 0.1)
+            ),
+            (1.0, 0.0, 1.0)
+        );
         assert_eq!((share(3.9, 4.0, 0.05), share(3.7, 4.0, 0.05)), (1.0, 0.0));
         for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             assert_eq!((share(bad, 4.0, 0.05), share(4.0, bad, 0.05)), (0.0, 0.0));
@@ -177,11 +227,17 @@ mod tests {
         opposite.c2w.rotation[(0, 0)] = -1.0;
         opposite.c2w.rotation[(2, 2)] = -1.0;
         let depth = flat(4.0);
-        let view = |camera| DepthView { camera, depth: &depth };
+        let view = |camera| DepthView {
+            camera,
+            depth: &depth,
+        };
         let seen = seen_by_depth(view(&here), view(&opposite), 0.05).unwrap();
         assert!(seen.data().iter().all(|&m| m == 0));
         let small = Plane::filled(19, 10, 4.0);
-        let small = DepthView { camera: &here, depth: &small };
+        let small = DepthView {
+            camera: &here,
+            depth: &small,
+        };
         assert!(seen_by_depth(small, view(&there), 0.05).is_err());
     }
 }

@@ -5,7 +5,8 @@ use m4_core::{Mask, Plane, RgbImage};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// A number that two images score. In JSON `{"psnr": "joint"}`, `{"ssim": "skimage_uniform"}`; as text `psnr_joint`.
+/// A number that two images score. In JSON `{"psnr": "joint"}`, `{"ssim": "skimage_uniform"}`; as
+/// text `psnr_joint`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Metric {
@@ -27,7 +28,8 @@ impl Metric {
         Self::Ssim(SsimKind::DycheckMasked),
     ];
 
-    /// Scores `image` against `reference`, whole or inside `mask`; `None` if the mask leaves nothing.
+    /// Scores `image` against `reference`, whole or inside `mask`; `None` if the mask leaves
+    /// nothing.
     ///
     /// # Errors
     ///
@@ -76,17 +78,19 @@ pub const MAX_PSNR_DB: f64 = 100.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PsnrKind {
-    /// One mean over all pixels and channels: `-10 log10 mean (x - y)^2`. With a mask it is DyCheck's mPSNR (Gao et al., NeurIPS
-    /// 2022), with images clamped to 0..1 what most programs call PSNR.
+    /// One mean over all pixels and channels: `-10 log10 mean (x - y)^2`. With a mask it is
+    /// DyCheck's mPSNR (Gao et al., NeurIPS 2022), with images clamped to 0..1 what most programs
+    /// call PSNR.
     Joint,
-    /// The mean of the PSNR of red, green and blue, as Instant4D and other programs that took it from 3D Gaussian Splatting have
-    /// it: a mean of logarithms, never below [`Self::Joint`]. They do not clamp what they rendered: make the images with
+    /// The mean of the PSNR of red, green and blue, as Instant4D and other programs that took it
+    /// from 3D Gaussian Splatting have it: a mean of logarithms, never below [`Self::Joint`]. They
+    /// do not clamp what they rendered: make the images with
     /// [`PlanarImage::from_planes_unclamped`].
     PerChannel,
-    /// Of whole numbers from 0 to 255, `20 log10 (255 / sqrt mean)`: `cv2.PSNR` of images in 8 bits (RoDynRF's protocol on NVIDIA
-    /// Dynamic). Colours are rounded to the nearest step, halves to the even one as NumPy and OpenCV
-    /// do; a program that cuts the fraction off (`astype(uint8)`) scores its own
-    /// files a little otherwise.
+    /// Of whole numbers from 0 to 255, `20 log10 (255 / sqrt mean)`: `cv2.PSNR` of images in 8 bits
+    /// (RoDynRF's protocol on NVIDIA Dynamic). Colours are rounded to the nearest step, halves to
+    /// the even one as NumPy and OpenCV do; a program that cuts the fraction off (`astype(uint8)`)
+    /// scores its own files a little otherwise.
     EightBit,
 }
 
@@ -102,8 +106,8 @@ impl PsnrKind {
     }
 }
 
-/// Peak signal-to-noise ratio in dB, at most [`MAX_PSNR_DB`]; over the pixels where `mask` is not 0, or all of them. `None` if
-/// there is no such pixel.
+/// Peak signal-to-noise ratio in dB, at most [`MAX_PSNR_DB`]; over the pixels where `mask` is not
+/// 0, or all of them. `None` if there is no such pixel.
 ///
 /// # Errors
 ///
@@ -144,12 +148,17 @@ fn eight_bit(v: f32) -> f64 {
     f64::from((v.clamp(0.0, 1.0) * 255.0).round_ties_even())
 }
 
-/// Why two images could not be compared: other sizes, too few pixels, or values that are no numbers; the text says which.
+/// Why two images could not be compared: other sizes, too few pixels, or values that are no
+/// numbers; the text says which.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{0}")]
 pub struct ImageError(pub(super) String);
 
-pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (usize, usize)) -> Result<(), ImageError> {
+pub(super) fn same_size(
+    what: &'static str,
+    expected: (usize, usize),
+    found: (usize, usize),
+) -> Result<(), ImageError> {
     if expected == found {
         return Ok(());
     }
@@ -160,12 +169,19 @@ pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (us
 }
 
 /// That an image and its mask, if there is one, are as large as the reference.
-pub(super) fn check_sizes(image: &PlanarImage, reference: &PlanarImage, mask: Option<&Mask>) -> Result<(), ImageError> {
+pub(super) fn check_sizes(
+    image: &PlanarImage,
+    reference: &PlanarImage,
+    mask: Option<&Mask>,
+) -> Result<(), ImageError> {
     same_size("the image", reference.size(), image.size())?;
-    mask.map_or(Ok(()), |mask| same_size("the mask", reference.size(), mask.size()))
+    mask.map_or(Ok(()), |mask| {
+        same_size("the mask", reference.size(), mask.size())
+    })
 }
 
-/// A colour image in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
+/// A colour image in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where
+/// a protocol does not clamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlanarImage {
     width: usize,
@@ -178,8 +194,13 @@ impl PlanarImage {
     ///
     /// # Errors
     ///
-    /// [`ImageError`] if a plane does not hold `width * height` values, or a value is NaN or infinite.
-    pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
+    /// [`ImageError`] if a plane does not hold `width * height` values, or a value is NaN or
+    /// infinite.
+    pub fn from_planes(
+        width: usize,
+        height: usize,
+        planes: [&[f32]; 3],
+    ) -> Result<Self, ImageError> {
         let mut image = Self::from_planes_unclamped(width, height, planes)?;
         for value in image.planes.iter_mut().flatten() {
             *value = value.clamp(0.0, 1.0);
@@ -192,7 +213,11 @@ impl PlanarImage {
     /// # Errors
     ///
     /// As [`Self::from_planes`].
-    pub fn from_planes_unclamped(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
+    pub fn from_planes_unclamped(
+        width: usize,
+        height: usize,
+        planes: [&[f32]; 3],
+    ) -> Result<Self, ImageError> {
         for (channel, plane) in planes.iter().enumerate() {
             let (expected, found) = (width * height, plane.len());
             if found != expected {
@@ -210,7 +235,11 @@ impl PlanarImage {
             }
         }
         let planes = planes.map(<[f32]>::to_vec);
-        Ok(Self { width, height, planes })
+        Ok(Self {
+            width,
+            height,
+            planes,
+        })
     }
 
     /// `(width, height)`.
@@ -228,8 +257,18 @@ impl PlanarImage {
 
 impl From<&RgbImage> for PlanarImage {
     fn from(image: &RgbImage) -> Self {
-        let plane = |c: usize| image.data().iter().map(|rgb| f32::from(rgb[c]) / 255.0).collect();
-        Self { width: image.width(), height: image.height(), planes: [plane(0), plane(1), plane(2)] }
+        let plane = |c: usize| {
+            image
+                .data()
+                .iter()
+                .map(|rgb| f32::from(rgb[c]) / 255.0)
+                .collect()
+        };
+        Self {
+            width: image.width(),
+            height: image.height(),
+            planes: [plane(0), plane(1), plane(2)],
+        }
     }
 }
 
@@ -271,7 +310,9 @@ mod tests {
     #[test]
     fn a_mask_selects_pixels() {
         let reference = flat(20, 20, 0.5);
-        let plane: Vec<f32> = (0..400).map(|i| if i % 20 < 10 { 0.6 } else { 0.5 }).collect();
+        let plane: Vec<f32> = (0..400)
+            .map(|i| if i % 20 < 10 { 0.6 } else { 0.5 })
+            .collect();
         let image = PlanarImage::from_planes(20, 20, [&plane, &plane, &plane]).unwrap();
         let left = Plane::from_fn(20, 20, |x, _| if x < 10 { 255 } else { 0 });
         let right = left.map(|&m| 255 - m);
@@ -291,8 +332,16 @@ mod tests {
     #[test]
     fn equal_images_score_the_most_and_other_sizes_are_refused() {
         let (a, b) = (flat(16, 16, 0.5), flat(12, 16, 0.5));
-        assert_eq!(psnr_db(PsnrKind::Joint, &a, &a, None).unwrap(), Some(MAX_PSNR_DB));
-        assert!(psnr_db(PsnrKind::Joint, &a, &b, None).unwrap_err().to_string().starts_with("the image is 16x16"));
+        assert_eq!(
+            psnr_db(PsnrKind::Joint, &a, &a, None).unwrap(),
+            Some(MAX_PSNR_DB)
+        );
+        assert!(
+            psnr_db(PsnrKind::Joint, &a, &b, None)
+                .unwrap_err()
+                .to_string()
+                .starts_with("the image is 16x16")
+        );
         let error = psnr_db(PsnrKind::Joint, &a, &a, Some(&Plane::filled(3, 3, 255))).unwrap_err();
         assert!(error.to_string().starts_with("the mask is 3x3"), "{error}");
     }

@@ -1,15 +1,18 @@
-//! Image metrics: PSNR and SSIM of a rendering against a photograph, whole and inside a mask, in the variants that papers report.
+//! Image metrics: PSNR and SSIM of a rendering against a photograph, whole and inside a mask, in
+//! the variants that papers report.
 //!
 //! ```text
 //! image, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name
 //! depth of the training frames --covisible--> the mask of pixels that they saw
 //! ```
 //!
-//! Colours are sRGB values in `[0, 1]`; both sides are clamped to it first unless a protocol says otherwise
-//! ([`PlanarImage::from_planes_unclamped`]). What this crate reports by default is PSNR joint over channels and SSIM over an 11x11
-//! Gaussian window in the valid region ([`PsnrKind::Joint`], [`SsimKind::GaussianValid`]); inside a mask, PSNR takes the pixels of
-//! the mask and SSIM averages the map over those of its pixels that lie in the valid region. The other flavours are named by
-//! [`PsnrKind`] and [`SsimKind`], and a report says which it holds. LPIPS is `m4_nets::lpips`: it needs a network.
+//! Colours are sRGB values in `[0, 1]`; both sides are clamped to it first unless a protocol says
+//! otherwise ([`PlanarImage::from_planes_unclamped`]). What this crate reports by default is PSNR
+//! joint over channels and SSIM over an 11x11 Gaussian window in the valid region
+//! ([`PsnrKind::Joint`], [`SsimKind::GaussianValid`]); inside a mask, PSNR takes the pixels of the
+//! mask and SSIM averages the map over those of its pixels that lie in the valid region. The other
+//! flavours are named by [`PsnrKind`] and [`SsimKind`], and a report says which it holds. LPIPS is
+//! `m4_nets::lpips`: it needs a network.
 
 mod aligned;
 pub mod covisible;

@@ -5,9 +5,9 @@
 //!   --> (2 ma mb + C1)(2 cov + C2) / ((ma^2 + mb^2 + C1)(va + vb + C2)) --mean of the channels--> map --mean--> SSIM
 //! ```
 //!
-//! `C1 = 0.01^2`, `C2 = 0.03^2` for colours from 0 to 1. Flavours differ in the window, in what lies beyond the border, and in whether
-//! variances are of a sample (`n / (n - 1)` times as large): [`SsimKind`]. They differ in the second decimal, so a figure without its
-//! flavour says little.
+//! `C1 = 0.01^2`, `C2 = 0.03^2` for colours from 0 to 1. Flavours differ in the window, in what
+//! lies beyond the border, and in whether variances are of a sample (`n / (n - 1)` times as large):
+//! [`SsimKind`]. They differ in the second decimal, so a figure without its flavour says little.
 
 use super::{ImageError, PlanarImage, check_sizes};
 use m4_core::{Mask, Plane};
@@ -20,19 +20,23 @@ const C2: f64 = 0.03 * 0.03;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SsimKind {
-    /// 11x11 Gaussian of 1.5 px, windows that lie wholly inside: Wang et al.'s own. Equals scikit-image's `structural_similarity` with
+    /// 11x11 Gaussian of 1.5 px, windows that lie wholly inside: Wang et al.'s own. Equals
+    /// scikit-image's `structural_similarity` with
     /// `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`.
     GaussianValid,
-    /// The same window with zeros beyond the border, every pixel: the SSIM of 3D Gaussian Splatting's training loss, which many
-    /// programs report as well. Borders score better than they should, where black meets black.
+    /// The same window with zeros beyond the border, every pixel: the SSIM of 3D Gaussian
+    /// Splatting's training loss, which many programs report as well. Borders score better than
+    /// they should, where black meets black.
     GaussianZeroPadded,
-    /// 7x7 window of equal weights, variances of a sample, windows that lie wholly inside: `structural_similarity` of scikit-image
-    /// with its defaults (RoDynRF's protocol).
+    /// 7x7 window of equal weights, variances of a sample, windows that lie wholly inside:
+    /// `structural_similarity` of scikit-image with its defaults (RoDynRF's protocol).
     SkimageUniform,
-    /// DyCheck's mSSIM (Gao et al., NeurIPS 2022): 11x11 Gaussian of 1.5 px over the pixels of the mask alone, whose sums are multiplied
-    /// by the side of the window over how many of its pixels are in the mask, along rows and then along columns (the partial convolution
-    /// of Liu et al., ECCV 2018); variances are cut off at 0, the covariance at their geometric mean. The mean goes over all
-    /// windows that lie wholly inside the image; one without a pixel of the mask counts as 1, as its authors' program has it.
+    /// DyCheck's mSSIM (Gao et al., NeurIPS 2022): 11x11 Gaussian of 1.5 px over the pixels of the
+    /// mask alone, whose sums are multiplied by the side of the window over how many of its pixels
+    /// are in the mask, along rows and then along columns (the partial convolution of Liu et al.,
+    /// ECCV 2018); variances are cut off at 0, the covariance at their geometric mean. The mean
+    /// goes over all windows that lie wholly inside the image; one without a pixel of the mask
+    /// counts as 1, as its authors' program has it.
     DycheckMasked,
 }
 
@@ -43,14 +47,20 @@ impl SsimKind {
         match self {
             Self::GaussianValid => "Gaussian 11/1.5, valid region",
             Self::GaussianZeroPadded => "Gaussian 11/1.5, zeros beyond the border",
-            Self::SkimageUniform => "uniform 7, sample covariance, valid region (scikit-image's defaults)",
+            Self::SkimageUniform => {
+                "uniform 7, sample covariance, valid region (scikit-image's defaults)"
+            }
             Self::DycheckMasked => "Gaussian 11/1.5, partial convolution over the mask (DyCheck)",
         }
     }
 
     fn window(self) -> Window {
         Window {
-            taps: if self == Self::SkimageUniform { vec![1.0 / 7.0; 7] } else { Window::gaussian() },
+            taps: if self == Self::SkimageUniform {
+                vec![1.0 / 7.0; 7]
+            } else {
+                Window::gaussian()
+            },
             zero_padded: self == Self::GaussianZeroPadded,
             of_sample: self == Self::SkimageUniform,
         }
@@ -73,7 +83,8 @@ impl SsimMap {
         self.map.data().iter().sum::<f64>() / self.map.data().len() as f64
     }
 
-    /// Mean over those pixels of `mask` (as large as the images) that lie in the region; `None` if there are none.
+    /// Mean over those pixels of `mask` (as large as the images) that lie in the region; `None` if
+    /// there are none.
     #[must_use]
     pub fn mean_inside(&self, mask: &Mask) -> Option<f64> {
         let border = self.border_px;
@@ -90,8 +101,8 @@ impl SsimMap {
     }
 }
 
-/// The SSIM map of two images. Only [`SsimKind::DycheckMasked`] looks at the mask here (all pixels without
-/// one); for the others it selects entries of the map: [`SsimMap::mean_inside`].
+/// The SSIM map of two images. Only [`SsimKind::DycheckMasked`] looks at the mask here (all pixels
+/// without one); for the others it selects entries of the map: [`SsimMap::mean_inside`].
 ///
 /// # Errors
 ///
@@ -107,22 +118,36 @@ pub fn ssim_map(
     let window = kind.window();
     if width < window.side() || height < window.side() {
         let side = window.side();
-        return Err(ImageError(format!("SSIM needs at least {side}x{side} pixels; the image is {width}x{height}")));
+        return Err(ImageError(format!(
+            "SSIM needs at least {side}x{side} pixels; the image is {width}x{height}"
+        )));
     }
     let (out_w, out_h) = window.out_size(width, height);
     let mut sum = vec![0.0; out_w * out_h];
     for (a, b) in image.planes().iter().zip(reference.planes()) {
         let mean = |f: &dyn Fn(f64, f64) -> f64| {
-            let values: Vec<f64> = a.iter().zip(b).map(|(&a, &b)| f(f64::from(a), f64::from(b))).collect();
+            let values: Vec<f64> = a
+                .iter()
+                .zip(b)
+                .map(|(&a, &b)| f(f64::from(a), f64::from(b)))
+                .collect();
             match kind {
                 SsimKind::DycheckMasked => filtered(&values, mask, width, height, &window),
                 _ => window.filtered(&values, width, height),
             }
         };
         let (ma, mb) = (mean(&|a, _| a), mean(&|_, b| b));
-        let (aa, bb, ab) = (mean(&|a, _| a * a), mean(&|_, b| b * b), mean(&|a, b| a * b));
+        let (aa, bb, ab) = (
+            mean(&|a, _| a * a),
+            mean(&|_, b| b * b),
+            mean(&|a, b| a * b),
+        );
         for i in 0..sum.len() {
-            let spread = [aa[i] - ma[i] * ma[i], bb[i] - mb[i] * mb[i], ab[i] - ma[i] * mb[i]];
+            let spread = [
+                aa[i] - ma[i] * ma[i],
+                bb[i] - mb[i] * mb[i],
+                ab[i] - ma[i] * mb[i],
+            ];
             let [va, vb, cov] = match kind {
                 SsimKind::DycheckMasked => possible(spread),
                 _ => spread.map(|v| v * window.unbias()),
@@ -136,7 +161,8 @@ pub fn ssim_map(
     Ok(SsimMap { map, border_px })
 }
 
-/// The mean SSIM of two images: over the whole region, or inside `mask`. `None` if no pixel of the mask lies in the region.
+/// The mean SSIM of two images: over the whole region, or inside `mask`. `None` if no pixel of the
+/// mask lies in the region.
 ///
 /// # Errors
 ///
@@ -150,15 +176,24 @@ pub fn ssim(
     let map = ssim_map(kind, image, reference, mask)?;
     Ok(match mask {
         None => Some(map.mean()),
-        Some(mask) if kind == SsimKind::DycheckMasked => mask.data().iter().any(|&m| m != 0).then(|| map.mean()),
+        Some(mask) if kind == SsimKind::DycheckMasked => {
+            mask.data().iter().any(|&m| m != 0).then(|| map.mean())
+        }
         Some(mask) => map.mean_inside(mask),
     })
 }
 
-/// Weighted means of those `values` `[height][width]` that are in `mask` (all of them without one), where the window lies wholly
-/// inside: along rows, then along columns. Each sum is multiplied by the number of taps over how many of them are in the mask,
-/// *not* by the weights that are; 0 where none is. After the first pass a place is in the mask if any of its taps was.
-fn filtered(values: &[f64], mask: Option<&Mask>, width: usize, height: usize, window: &Window) -> Vec<f64> {
+/// Weighted means of those `values` `[height][width]` that are in `mask` (all of them without one),
+/// where the window lies wholly inside: along rows, then along columns. Each sum is multiplied by
+/// the number of taps over how many of them are in the mask, *not* by the weights that are; 0 where
+/// none is. After the first pass a place is in the mask if any of its taps was.
+fn filtered(
+    values: &[f64],
+    mask: Option<&Mask>,
+    width: usize,
+    height: usize,
+    window: &Window,
+) -> Vec<f64> {
     let (out_w, out_h) = (width + 1 - window.side(), height + 1 - window.side());
     let kept: Vec<bool> = match mask {
         Some(mask) => mask.data().iter().map(|&m| m != 0).collect(),
@@ -168,7 +203,8 @@ fn filtered(values: &[f64], mask: Option<&Mask>, width: usize, height: usize, wi
     for y in 0..height {
         for x in 0..out_w {
             let taps = y * width + x..y * width + x + window.side();
-            (rows[y * out_w + x], rows_kept[y * out_w + x]) = mean(taps.map(|i| (values[i], kept[i])), window);
+            (rows[y * out_w + x], rows_kept[y * out_w + x]) =
+                mean(taps.map(|i| (values[i], kept[i])), window);
         }
     }
     let mut out = vec![0.0; out_w * out_h];
@@ -196,7 +232,8 @@ fn mean(values: impl Iterator<Item = (f64, bool)>, window: &Window) -> (f64, boo
     (sum * window.side() as f64 / count as f64, true)
 }
 
-/// Variances and covariance as they can be: renormalised means of squares need not be above the squares of means.
+/// Variances and covariance as they can be: renormalised means of squares need not be above the
+/// squares of means.
 fn possible([va, vb, cov]: [f64; 3]) -> [f64; 3] {
     let (va, vb) = (va.max(0.0), vb.max(0.0));
     [va, vb, cov.abs().min((va * vb).sqrt()).copysign(cov)]
@@ -213,7 +250,8 @@ struct Window {
     taps: Vec<f64>,
     /// With zeros beyond the border, so that every pixel has a window.
     zero_padded: bool,
-    /// Variances are those of a sample of as many pixels as the window has, whatever their weights: scikit-image's default.
+    /// Variances are those of a sample of as many pixels as the window has, whatever their weights:
+    /// scikit-image's default.
     of_sample: bool,
 }
 
@@ -246,7 +284,8 @@ impl Window {
         (width - lost, height - lost)
     }
 
-    /// Weighted means of `values` `[height][width]`, in [`Self::out_size`]: along rows, then along columns.
+    /// Weighted means of `values` `[height][width]`, in [`Self::out_size`]: along rows, then along
+    /// columns.
     fn filtered(&self, values: &[f64], width: usize, height: usize) -> Vec<f64> {
         if !self.zero_padded {
             return self.inside(values, width, height);
@@ -254,7 +293,10 @@ impl Window {
         let pad = self.side() / 2;
         let (wide, high) = (width + 2 * pad, height + 2 * pad);
         let mut padded = vec![0.0; wide * high];
-        for (row, values) in padded[pad * wide..].chunks_exact_mut(wide).zip(values.chunks_exact(width)) {
+        for (row, values) in padded[pad * wide..]
+            .chunks_exact_mut(wide)
+            .zip(values.chunks_exact(width))
+        {
             row[pad..pad + width].copy_from_slice(values);
         }
         self.inside(&padded, wide, high)
@@ -297,18 +339,38 @@ mod tests {
         let map = ssim_map(SsimKind::GaussianValid, &a, &b, None).unwrap();
         assert_eq!(map.map.size(), (5, 3));
         let want = (2.0 * 0.2 * 0.6 + 1e-4) / (0.2 * 0.2 + 0.6 * 0.6 + 1e-4);
-        assert!((map.mean() - want).abs() < 1e-6, "{} where {want} was expected", map.mean());
-        assert!((ssim_map(SsimKind::GaussianValid, &a, &a, None).unwrap().mean() - 1.0).abs() < 1e-12);
+        assert!(
+            (map.mean() - want).abs() < 1e-6,
+            "{} where {want} was expected",
+            map.mean()
+        );
+        assert!(
+            (ssim_map(SsimKind::GaussianValid, &a, &a, None)
+                .unwrap()
+                .mean()
+                - 1.0)
+                .abs()
+                < 1e-12
+        );
     }
 
     #[test]
     fn bad_input_is_named() {
         let (good, bad, short) = (vec![0.0; 4], vec![0.0, f32::NAN, 0.0, 0.0], vec![0.0; 3]);
-        let image = |second, third| PlanarImage::from_planes(2, 2, [&good, second, third]).map(drop);
-        let map = |a: &PlanarImage, b: &PlanarImage| ssim_map(SsimKind::GaussianValid, a, b, None).map(drop);
+        let image =
+            |second, third| PlanarImage::from_planes(2, 2, [&good, second, third]).map(drop);
+        let map = |a: &PlanarImage, b: &PlanarImage| {
+            ssim_map(SsimKind::GaussianValid, a, b, None).map(drop)
+        };
         for (result, reason) in [
-            (map(&flat(16, 16, 0.5), &flat(12, 16, 0.5)), "the image is 16x16"),
-            (map(&flat(10, 20, 0.0), &flat(10, 20, 0.0)), "SSIM needs at least 11x11"),
+            (
+                map(&flat(16, 16, 0.5), &flat(12, 16, 0.5)),
+                "the image is 16x16",
+            ),
+            (
+                map(&flat(10, 20, 0.0), &flat(10, 20, 0.0)),
+                "SSIM needs at least 11x11",
+            ),
             (image(&bad, &good), "pixel (1, 0) of channel 1 is NaN"),
             (image(&good, &short), "channel 2 has 3"),
         ] {
@@ -326,13 +388,20 @@ mod tests {
             PlanarImage::from_planes(20, 20, [&b, &b, &a]).unwrap(),
         );
         let (all, none) = (Plane::filled(20, 20, 1), Plane::filled(20, 20, 0));
-        let kinds =
-            [SsimKind::GaussianValid, SsimKind::GaussianZeroPadded, SsimKind::SkimageUniform, SsimKind::DycheckMasked];
+        let kinds = [
+            SsimKind::GaussianValid,
+            SsimKind::GaussianZeroPadded,
+            SsimKind::SkimageUniform,
+            SsimKind::DycheckMasked,
+        ];
         let mut seen = Vec::new();
         for kind in kinds {
             let score = |mask| ssim(kind, &a, &b, mask).unwrap();
             let whole = score(None).unwrap();
-            assert!((score(Some(&all)).unwrap() - whole).abs() < 1e-12 && whole < 0.9, "{kind:?}: {whole}");
+            assert!(
+                (score(Some(&all)).unwrap() - whole).abs() < 1e-12 && whole < 0.9,
+                "{kind:?}: {whole}"
+            );
             assert_eq!(score(Some(&none)), None, "{kind:?}");
             assert!((ssim(kind, &a, &a, None).unwrap().unwrap() - 1.0).abs() < 1e-12);
             seen.push(whole);

@@ -27,7 +27,8 @@ pub enum Motion {
 pub struct Track {
     /// Frame of the first observation.
     pub first_frame: usize,
-    /// Pixel coordinates (centre of the first pixel: 0, 0) in frames `first_frame..`, full resolution.
+    /// Pixel coordinates (centre of the first pixel: 0, 0) in frames `first_frame..`, full
+    /// resolution.
     pub observations: Vec<[f32; 2]>,
     /// What it shows.
     pub motion: Motion,
@@ -41,7 +42,9 @@ impl Track {
     /// The observation in `frame`, if there is one.
     #[must_use]
     pub fn at(&self, frame: usize) -> Option<[f32; 2]> {
-        self.observations.get(frame.checked_sub(self.first_frame)?).copied()
+        self.observations
+            .get(frame.checked_sub(self.first_frame)?)
+            .copied()
     }
 }
 
@@ -60,7 +63,8 @@ pub enum CameraMotion {
 /// Cameras, tracks and points of a clip.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct SparseReconstruction {
-    /// One camera per frame, sharing intrinsics; world units are arbitrary (median point depth about 1).
+    /// One camera per frame, sharing intrinsics; world units are arbitrary (median point depth
+    /// about 1).
     pub cameras: Vec<Camera>,
     /// Every track, static and dynamic.
     pub tracks: Vec<Track>,
@@ -75,5 +79,9 @@ pub struct SparseReconstruction {
 /// The message for lists of another clip: `found` of `what` for `frames` frames.
 fn check_count(what: &str, found: usize, frames: usize) -> Result<(), String> {
     let fault = || format!("there are {found} {what} for {frames} frames; give one per frame");
-    if found == frames { Ok(()) } else { Err(fault()) }
+    if found == frames {
+        Ok(())
+    } else {
+        Err(fault())
+    }
 }

@@ -1,5 +1,5 @@
-//! The fast path: Gauss-Newton iterations over f32 planes, the product's solver; gathering, damping and factorisation of the reduced
-//! system of all poses.
+//! The fast path: Gauss-Newton iterations over f32 planes, the product's solver; gathering, damping
+//! and factorisation of the reduced system of all poses.
 
 use super::lanes::Rays;
 use super::options::{DbaOptions, DbaReport};
@@ -16,7 +16,12 @@ const SOURCES_AT_ONCE: usize = 64;
 
 /// The edges by source frame, ascending; within a source in the order given.
 pub(super) fn by_source<'a>(edges: &[&'a Factor<f32>], frames: usize) -> Vec<Source<'a>> {
-    let mut all: Vec<Source<'a>> = (0..frames).map(|frame| Source { frame, edges: Vec::new() }).collect();
+    let mut all: Vec<Source<'a>> = (0..frames)
+        .map(|frame| Source {
+            frame,
+            edges: Vec::new(),
+        })
+        .collect();
     for &edge in edges {
         all[edge.source].edges.push(edge);
     }
@@ -24,9 +29,9 @@ pub(super) fn by_source<'a>(edges: &[&'a Factor<f32>], frames: usize) -> Vec<Sou
     all
 }
 
-/// Moves poses, disparities and focal length towards what the edges say. `window` holds the frames whose poses
-/// move; the disparities of every source frame move where `options.free` says so. The result does not
-/// depend on the number of threads.
+/// Moves poses, disparities and focal length towards what the edges say. `window` holds the frames
+/// whose poses move; the disparities of every source frame move where `options.free` says so. The
+/// result does not depend on the number of threads.
 ///
 /// # Errors
 ///
@@ -53,8 +58,13 @@ pub(super) fn adjust_on(
     let mut report = DbaReport::default();
     for _ in 0..options.iterations {
         report.iterations += 1;
-        let context =
-            Context { geometry, eta: problem.eta, rays: Rays::new(geometry.grid, &geometry.lens), options, level };
+        let context = Context {
+            geometry,
+            eta: problem.eta,
+            rays: Rays::new(geometry.grid, &geometry.lens),
+            options,
+            level,
+        };
         let mut system = System::new(window.clone(), options.free.focal());
         for group in sources.chunks(SOURCES_AT_ONCE) {
             let parts: Vec<_> = group.par_iter().map(|s| s.reduce(&context)).collect();
@@ -69,7 +79,9 @@ pub(super) fn adjust_on(
         };
         let disparity: Vec<(usize, Vec<f32>)> = if options.free.depth() {
             let steps = sources.par_iter();
-            steps.map(|s| (s.frame, s.substitute(&context, &step.twists, step.focal))).collect()
+            steps
+                .map(|s| (s.frame, s.substitute(&context, &step.twists, step.focal)))
+                .collect()
         } else {
             Vec::new()
         };
@@ -125,7 +137,8 @@ impl System {
         self.diagonal.len()
     }
 
-    /// Adds the share of a source. Called in the order of the sources: sums do not depend on threads.
+    /// Adds the share of a source. Called in the order of the sources: sums do not depend on
+    /// threads.
     pub(super) fn add(&mut self, part: &Part) {
         let mut groups: Vec<(usize, usize, usize)> = part
             .frames
@@ -148,7 +161,8 @@ impl System {
                 }
                 for b in 0..columns {
                     for a in 0..rows {
-                        self.matrix[(to + a, other_to + b)] += part.matrix[(from + a, other_from + b)];
+                        self.matrix[(to + a, other_to + b)] +=
+                            part.matrix[(from + a, other_from + b)];
                     }
                 }
             }
@@ -159,13 +173,20 @@ impl System {
 
     /// Root mean square of the weighted residuals, pixels.
     pub(super) fn rms_px(&self) -> f64 {
-        if self.squares.1 > 0.0 { (self.squares.0 / self.squares.1).sqrt() } else { 0.0 }
+        if self.squares.1 > 0.0 {
+            (self.squares.0 / self.squares.1).sqrt()
+        } else {
+            0.0
+        }
     }
 
     /// Damps and solves; `None` where the matrix is not positive definite.
     pub(super) fn solve(mut self, frames: usize, options: &DbaOptions) -> Option<Step> {
         let n = self.size();
-        let mut step = Step { twists: vec![Vector6::zeros(); frames], focal: 0.0 };
+        let mut step = Step {
+            twists: vec![Vector6::zeros(); frames],
+            focal: 0.0,
+        };
         if n == 0 {
             return Some(step);
         }
@@ -188,39 +209,44 @@ impl System {
         if self.focal {
             step.focal = x[n - 1];
         }
-        let finite = step.focal.is_finite() && step.twists.iter().all(|t| t.iter().all(|x| x.is_finite()));
+        let finite =
+            step.focal.is_finite() && step.twists.iter().all(|t| t.iter().all(|x| x.is_finite()));
         finite.then_some(step)
     }
 }
 
-/// Solves with the lower triangle of `matrix`, which becomes its factor: a blocked Cholesky decomposition (Golub and Van Loan,
-/// "Matrix Computations", 4.2.9). `None` where the matrix is not positive definite. On one thread: with more, the order of sums
-/// would depend on how many there are.
+/// Solves with the lower triangle of `matrix`, which becomes its factor: a blocked Cholesky
+/// decomposition (Golub and Van Loan, "Matrix Computations", 4.2.9). `None` where the matrix is not
+/// positive definite. On one thread: with more, the order of sums would depend on how many there
+/// are.
 fn cholesky_solve(matrix: &mut DMatrix<f64>, rhs: &mut DVector<f64>) -> Option<()> {
     let n = matrix.nrows();
     for start in (0..n).step_by(BLOCK) {
         let width = BLOCK.min(n - start);
         let next = start + width;
-        let factor = Cholesky::new(matrix.view((start, start), (width, width)).into_owned())?.unpack_dirty();
-        matrix.view_mut((start, start), (width, width)).copy_from(&factor);
+        let factor =
+            Cholesky::new(matrix.view((start, start), (width, width)).into_owned())?.unpack_dirty();
+        matrix
+            .view_mut((start, start), (width, width))
+            .copy_from(&factor);
         let mut panel = matrix.view((next, start), (n - next, width)).transpose();
         if !factor.solve_lower_triangular_mut(&mut panel) {
             return None;
         }
         let below = panel.transpose();
-        matrix.view_mut((next, start), (n - next, width)).copy_from(&below);
+        matrix
+            .view_mut((next, start), (n - next, width))
+            .copy_from(&below);
         for column in (next..n).step_by(BLOCK) {
             let columns = BLOCK.min(n - column);
             let rows = below.rows(column - next, n - column);
-            matrix.view_mut((column, column), (n - column, columns)).gemm(
-                -1.0,
-                &rows,
-                &panel.columns(column - next, columns),
-                1.0,
-            );
+            matrix
+                .view_mut((column, column), (n - column, columns))
+                .gemm(-1.0, &rows, &panel.columns(column - next, columns), 1.0);
         }
     }
-    let solved = matrix.solve_lower_triangular_mut(rhs) && matrix.ad_solve_lower_triangular_mut(rhs);
+    let solved =
+        matrix.solve_lower_triangular_mut(rhs) && matrix.ad_solve_lower_triangular_mut(rhs);
     solved.then_some(())
 }
 
@@ -232,10 +258,18 @@ mod tests {
     #[test]
     fn only_the_lower_triangle_is_read_and_an_indefinite_matrix_is_refused() {
         let n = 150;
-        let value = |i: usize, j: usize| if i == j { 150.0 } else { ((i * 7 + j * 3) as f64).sin() };
+        let value = |i: usize, j: usize| {
+            if i == j {
+                150.0
+            } else {
+                ((i * 7 + j * 3) as f64).sin()
+            }
+        };
         let want: Vec<f64> = (0..n).map(|i| (i as f64).cos()).collect();
         let symmetric = |i: usize, j: usize| value(i.max(j), i.min(j));
-        let mut b = DVector::from_fn(n, |i, _| (0..n).map(|j| symmetric(i, j) * want[j]).sum::<f64>());
+        let mut b = DVector::from_fn(n, |i, _| {
+            (0..n).map(|j| symmetric(i, j) * want[j]).sum::<f64>()
+        });
         let mut a = DMatrix::from_fn(n, n, |i, j| if i >= j { value(i, j) } else { f64::NAN });
         cholesky_solve(&mut a, &mut b).expect("positive definite");
         assert!((0..n).all(|i| (b[i] - want[i]).abs() < 1e-10));

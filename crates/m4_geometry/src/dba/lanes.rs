@@ -1,9 +1,9 @@
 //! The inner loops of the fast path: one edge, [`BLOCK`] pixels at a time, f32.
 //!
 //! With `x = X/Z`, `y = Y/Z`, `e = d/Z` the derivatives by the target's pose are
-//! `fx (e, 0, -x e, -x y, 1 + x^2, -y)` and `fy (0, e, -y e, -1 - y^2, x y, x)`; those by the source's pose are
-//! the same rows times a constant matrix, so no loop forms them. The v component follows the u component in
-//! every row of an [`EdgeBlock`], so that both take part in one sum.
+//! `fx (e, 0, -x e, -x y, 1 + x^2, -y)` and `fy (0, e, -y e, -1 - y^2, x y, x)`; those by the
+//! source's pose are the same rows times a constant matrix, so no loop forms them. The v component
+//! follows the u component in every row of an [`EdgeBlock`], so that both take part in one sum.
 
 use super::options::{DbaOptions, WEIGHT_SCALE};
 use super::problem::{Geometry, Grid, Pinhole};
@@ -32,7 +32,10 @@ pub(super) struct Rays {
 impl Rays {
     pub(super) fn new(grid: Grid, lens: &Pinhole<f64>) -> Self {
         let padded = grid.len().next_multiple_of(BLOCK);
-        let mut rays = Self { x: vec![0.0; padded], y: vec![0.0; padded] };
+        let mut rays = Self {
+            x: vec![0.0; padded],
+            y: vec![0.0; padded],
+        };
         for n in 0..grid.len() {
             rays.x[n] = (((n % grid.width) as f64 - lens.cx) / lens.fx) as f32;
             rays.y[n] = (((n / grid.width) as f64 - lens.cy) / lens.fy) as f32;
@@ -60,7 +63,12 @@ pub(super) struct EdgeConstants {
 }
 
 impl EdgeConstants {
-    pub(super) fn new(geometry: &Geometry<f32>, source: usize, target: usize, options: &DbaOptions) -> Self {
+    pub(super) fn new(
+        geometry: &Geometry<f32>,
+        source: usize,
+        target: usize,
+        options: &DbaOptions,
+    ) -> Self {
         let g = geometry.relative(source, target).cast::<f32>();
         let lens = &geometry.lens;
         let rate = options.fy_rate(lens);
@@ -71,7 +79,10 @@ impl EdgeConstants {
             fy: lens.fy as f32,
             cx: lens.cx as f32,
             cy: lens.cy as f32,
-            bend: [(-2.0 * lens.cx / lens.fx) as f32, (-2.0 * lens.cx * rate / lens.fy) as f32],
+            bend: [
+                (-2.0 * lens.cx / lens.fx) as f32,
+                (-2.0 * lens.cx * rate / lens.fy) as f32,
+            ],
             focal: [(2.0 * lens.cx) as f32, (2.0 * lens.cx * rate) as f32],
             min_depth: options.min_depth as f32,
             inverse_square: options.inverse_square() as f32,
@@ -81,7 +92,11 @@ impl EdgeConstants {
 
     /// The same with weights that count in full, whatever the residual.
     pub(super) fn unscaled(self) -> Self {
-        Self { inverse_square: 0.0, scale: 1.0, ..self }
+        Self {
+            inverse_square: 0.0,
+            scale: 1.0,
+            ..self
+        }
     }
 }
 
@@ -101,7 +116,13 @@ pub(super) struct EdgeBlock {
 
 impl EdgeBlock {
     pub(super) fn new() -> Box<Self> {
-        Box::new(Self { j: [[0.0; PAIR]; 6], jz: [0.0; PAIR], jf: [0.0; PAIR], r: [0.0; PAIR], w: [0.0; PAIR] })
+        Box::new(Self {
+            j: [[0.0; PAIR]; 6],
+            jz: [0.0; PAIR],
+            jf: [0.0; PAIR],
+            r: [0.0; PAIR],
+            w: [0.0; PAIR],
+        })
     }
 }
 
@@ -138,7 +159,10 @@ pub(super) fn linearise(
     out: &mut EdgeBlock,
 ) {
     let [mut pad0, mut pad1, mut pad2, mut pad3, mut pad4, mut pad5] = [[0.0; BLOCK]; 6];
-    let (rx, ry) = (lane(&rays.x, start, &mut pad0), lane(&rays.y, start, &mut pad1));
+    let (rx, ry) = (
+        lane(&rays.x, start, &mut pad0),
+        lane(&rays.y, start, &mut pad1),
+    );
     let tu = lane(&target_px[0], start, &mut pad2);
     let tv = lane(&target_px[1], start, &mut pad3);
     let wu = lane(&weight[0], start, &mut pad4);
@@ -182,8 +206,8 @@ pub(super) fn linearise(
     }
 }
 
-/// Adds `a b^T` to the lower triangle of `sums`, for two lists of rows whose length is a multiple of three. Of the
-/// blocks on the diagonal all nine entries are added.
+/// Adds `a b^T` to the lower triangle of `sums`, for two lists of rows whose length is a multiple
+/// of three. Of the blocks on the diagonal all nine entries are added.
 #[inline(always)]
 pub(super) fn outer_products<S: Simd>(s: S, a: &[Lane], b: &[Lane], sums: &mut DMatrix<f64>) {
     for (i, a) in a.as_chunks::<3>().0.iter().enumerate() {
@@ -198,10 +222,14 @@ pub(super) fn outer_products<S: Simd>(s: S, a: &[Lane], b: &[Lane], sums: &mut D
     }
 }
 
-/// The nine inner products of three rows with three: nine sums and the six vectors they come from fit into sixteen
-/// registers.
+/// The nine inner products of three rows with three: nine sums and the six vectors they come from
+/// fit into sixteen registers.
 #[inline(always)]
-pub(super) fn three_by_three<S: Simd, const N: usize>(s: S, a: [&[f32; N]; 3], b: [&[f32; N]; 3]) -> [[f32; 3]; 3] {
+pub(super) fn three_by_three<S: Simd, const N: usize>(
+    s: S,
+    a: [&[f32; N]; 3],
+    b: [&[f32; N]; 3],
+) -> [[f32; 3]; 3] {
     let width = S::f32s::LEN;
     let zero = S::f32s::splat(s, 0.0);
     let ([mut s00, mut s01, mut s02], [mut s10, mut s11, mut s12], [mut s20, mut s21, mut s22]) =

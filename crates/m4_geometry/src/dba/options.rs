@@ -41,14 +41,15 @@ pub struct DbaOptions {
     pub ep: f64,
     /// Weight of the depth prior, `None` without one: 0.05.
     pub prior_alpha: Option<f64>,
-    /// Scale of Cauchy's weight `1 / (1 + s^2)`, `s` being the length of the residual over it, pixels of the grid (iteratively reweighted
-    /// least squares); `None` where every residual counts in full, as in the published solver, whose confidences come from a network.
+    /// Scale of Cauchy's weight `1 / (1 + s^2)`, `s` being the length of the residual over it,
+    /// pixels of the grid (iteratively reweighted least squares); `None` where every residual
+    /// counts in full, as in the published solver, whose confidences come from a network.
     pub cauchy_px: Option<f64>,
     /// Least scaled depth of a point that counts: 0.25.
     pub min_depth: f64,
-    /// As the Python twin of the published solver, which the fixtures come from: the derivative by the focal length moves
-    /// `fx` and `fy` by equal amounts, and where poses alone move the damping is added to the diagonal of every 6x6
-    /// block, also of those between two poses.
+    /// As the Python twin of the published solver, which the fixtures come from: the derivative by
+    /// the focal length moves `fx` and `fy` by equal amounts, and where poses alone move the
+    /// damping is added to the diagonal of every 6x6 block, also of those between two poses.
     #[cfg(test)]
     pub(crate) python_twin: bool,
 }
@@ -74,7 +75,11 @@ impl DbaOptions {
     #[must_use]
     pub fn backend(free_focal: bool, prior_alpha: Option<f64>) -> Self {
         Self {
-            free: if free_focal { Free::PosesDepthAndFocal } else { Free::PosesAndDepth },
+            free: if free_focal {
+                Free::PosesDepthAndFocal
+            } else {
+                Free::PosesAndDepth
+            },
             iterations: if free_focal { 4 } else { 2 },
             lm: 1e-5,
             ep: 1e-2,
@@ -85,10 +90,12 @@ impl DbaOptions {
 
     /// One over the squared scale of the extra weight; 0 makes the weight 1 exactly.
     pub(super) fn inverse_square(&self) -> f64 {
-        self.cauchy_px.map_or(0.0, |scale_px| 1.0 / (scale_px * scale_px))
+        self.cauchy_px
+            .map_or(0.0, |scale_px| 1.0 / (scale_px * scale_px))
     }
 
-    /// The change of `fy` with `fx` in the derivative by the focal length: their ratio, as the step keeps it.
+    /// The change of `fy` with `fx` in the derivative by the focal length: their ratio, as the step
+    /// keeps it.
     pub(super) fn fy_rate(&self, lens: &Pinhole<f64>) -> f64 {
         #[cfg(test)]
         if self.python_twin {
@@ -112,9 +119,17 @@ pub const MIN_DISPARITY: f64 = 1e-6;
 #[inline(always)]
 pub fn stepped_disparity<T: Real>(d: T, step: T) -> T {
     let d = d + step;
-    let kept = if d > T::of(MAX_DISPARITY) { T::zero() } else { d };
+    let kept = if d > T::of(MAX_DISPARITY) {
+        T::zero()
+    } else {
+        d
+    };
     // written so that a NaN becomes the least disparity
-    if kept > T::of(MIN_DISPARITY) { kept } else { T::of(MIN_DISPARITY) }
+    if kept > T::of(MIN_DISPARITY) {
+        kept
+    } else {
+        T::of(MIN_DISPARITY)
+    }
 }
 
 /// How an adjustment went.
@@ -124,8 +139,8 @@ pub struct DbaReport {
     pub iterations: usize,
     /// Iterations whose system was not positive definite: they moved nothing.
     pub failed: usize,
-    /// Root mean square of the weighted residual before the last iteration, pixels of the grid; 0 without
-    /// edges.
+    /// Root mean square of the weighted residual before the last iteration, pixels of the grid; 0
+    /// without edges.
     pub rms_px: f64,
 }
 
@@ -143,7 +158,9 @@ pub const CURVATURE_FLOOR: f64 = 1e-7;
 pub fn depth_prior<T: Real>(alpha: Option<T>, eta: T, disparity: T, sensor: T) -> (T, T) {
     let floor = T::of(CURVATURE_FLOOR);
     match alpha {
-        Some(alpha) if sensor > T::of(SENSOR_KNOWN) => (alpha + floor, -alpha * (disparity - sensor)),
+        Some(alpha) if sensor > T::of(SENSOR_KNOWN) => {
+            (alpha + floor, -alpha * (disparity - sensor))
+        }
         _ => (eta + floor, T::zero()),
     }
 }

@@ -1,8 +1,9 @@
-//! What is adjusted and what it is adjusted to; how a pixel with a disparity is seen in another frame, and all derivatives of that:
-//! the reference.
+//! What is adjusted and what it is adjusted to; how a pixel with a disparity is seen in another
+//! frame, and all derivatives of that: the reference.
 //!
-//! The homogeneous point of pixel `(u, v)` with disparity `d` is `((u - cx)/fx, (v - cy)/fy, 1, d)`, and `G` acts
-//! on it as `R X + d t`, so the depth `1/d` is never formed.
+//! The homogeneous point of pixel `(u, v)` with disparity `d` is
+//! `((u - cx)/fx, (v - cy)/fy, 1, d)`, and `G` acts on it as `R X + d t`, so the depth `1/d` is
+//! never formed.
 
 use m4_core::nalgebra::{Matrix2x6, Matrix6, Vector2, Vector3, Vector6};
 use m4_core::{Real, Se3};
@@ -31,8 +32,8 @@ impl Grid {
     }
 }
 
-/// A lens without distortion, shared by all frames, in pixels of the grid; the centre of pixel (0, 0) is at
-/// `(0, 0)`.
+/// A lens without distortion, shared by all frames, in pixels of the grid; the centre of pixel (0,
+/// 0) is at `(0, 0)`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pinhole<T> {
     /// Focal length along x.
@@ -46,25 +47,41 @@ pub struct Pinhole<T> {
 }
 
 impl Pinhole<f64> {
-    /// The same lens on a grid of blocks of `block` x `block` pixels, `self` being of the full image with the
-    /// principal point measured from the corner (the convention of the library). Grid coordinates divide
-    /// the integer pixel coordinates of the image by `block`, as the tracker does.
+    /// The same lens on a grid of blocks of `block` x `block` pixels, `self` being of the full
+    /// image with the principal point measured from the corner (the convention of the library).
+    /// Grid coordinates divide the integer pixel coordinates of the image by `block`, as the
+    /// tracker does.
     #[must_use]
     pub fn of_image(fx_px: f64, fy_px: f64, cx_px: f64, cy_px: f64, block: f64) -> Self {
-        Self { fx: fx_px / block, fy: fy_px / block, cx: (cx_px - 0.5) / block, cy: (cy_px - 0.5) / block }
+        Self {
+            fx: fx_px / block,
+            fy: fy_px / block,
+            cx: (cx_px - 0.5) / block,
+            cy: (cy_px - 0.5) / block,
+        }
     }
 
     /// With another scalar.
     #[must_use]
     pub fn cast<T: Real>(&self) -> Pinhole<T> {
-        Pinhole { fx: T::of(self.fx), fy: T::of(self.fy), cx: T::of(self.cx), cy: T::of(self.cy) }
+        Pinhole {
+            fx: T::of(self.fx),
+            fy: T::of(self.fy),
+            cx: T::of(self.cx),
+            cy: T::of(self.cy),
+        }
     }
 
-    /// After a step `df` of the focal parameter, which is `fx / (2 cx)`; `fy` keeps its ratio to `fx`.
+    /// After a step `df` of the focal parameter, which is `fx / (2 cx)`; `fy` keeps its ratio to
+    /// `fx`.
     #[must_use]
     pub fn with_focal_step(&self, df: f64) -> Self {
         let fx = self.fx + df * 2.0 * self.cx;
-        Self { fx, fy: self.fy * fx / self.fx, ..*self }
+        Self {
+            fx,
+            fy: self.fy * fx / self.fx,
+            ..*self
+        }
     }
 }
 
@@ -112,7 +129,8 @@ pub struct Factor<T> {
     pub weight: [Vec<T>; 2],
 }
 
-/// Why a problem could not be posed: indices of frames that are not there, or planes of another size.
+/// Why a problem could not be posed: indices of frames that are not there, or planes of another
+/// size.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{0}")]
 pub struct DbaError(String);
@@ -132,7 +150,11 @@ impl<T: Real> Problem<'_, T> {
     /// # Errors
     ///
     /// [`DbaError`] for the first thing out of place.
-    pub fn check(&self, geometry: &Geometry<T>, window: &std::ops::Range<usize>) -> Result<(), DbaError> {
+    pub fn check(
+        &self,
+        geometry: &Geometry<T>,
+        window: &std::ops::Range<usize>,
+    ) -> Result<(), DbaError> {
         let (frames, expected) = (geometry.frames(), geometry.grid.len());
         if window.start > window.end || window.end > frames {
             return Err(DbaError(format!(
@@ -193,9 +215,16 @@ pub struct Projected<T: Real> {
     pub by_focal: Vector2<T>,
 }
 
-/// Projects pixel `(u, v)` of disparity `d` by `g = G_ij`. `fy_rate` is the change of `fy` with that of `fx`:
-/// their ratio where both follow one parameter.
-pub fn project<T: Real>(g: &Se3<T>, lens: &Pinhole<T>, fy_rate: T, u: T, v: T, d: T) -> Projected<T> {
+/// Projects pixel `(u, v)` of disparity `d` by `g = G_ij`. `fy_rate` is the change of `fy` with
+/// that of `fx`: their ratio where both follow one parameter.
+pub fn project<T: Real>(
+    g: &Se3<T>,
+    lens: &Pinhole<T>,
+    fy_rate: T,
+    u: T,
+    v: T,
+    d: T,
+) -> Projected<T> {
     let (one, zero) = (T::one(), T::zero());
     let ray = Vector3::new((u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, one);
     let p = g.rotation * ray + g.translation * d;
@@ -203,7 +232,10 @@ pub fn project<T: Real>(g: &Se3<T>, lens: &Pinhole<T>, fy_rate: T, u: T, v: T, d
     let iz = one / if z < T::of(PROJECTION_GUARD) { one } else { z };
     let (a, b) = (lens.fx * iz, lens.fy * iz);
     // Rows of the derivative of the pixel by the point.
-    let (by_u, by_v) = (Vector3::new(a, zero, -a * x * iz), Vector3::new(zero, b, -b * y * iz));
+    let (by_u, by_v) = (
+        Vector3::new(a, zero, -a * x * iz),
+        Vector3::new(zero, b, -b * y * iz),
+    );
     let row = |j: &Vector3<T>| {
         let turn = p.cross(j);
         Vector6::new(d * j.x, d * j.y, d * j.z, turn.x, turn.y, turn.z).transpose()
@@ -218,12 +250,13 @@ pub fn project<T: Real>(g: &Se3<T>, lens: &Pinhole<T>, fy_rate: T, u: T, v: T, d
         by_target,
         by_source: -(by_target * g.adjoint()),
         by_disparity: Vector2::new(by_u.dot(&g.translation), by_v.dot(&g.translation)),
-        by_focal: Vector2::new(x * iz + by_u.dot(&bend), fy_rate * y * iz + by_v.dot(&bend)) * scale,
+        by_focal: Vector2::new(x * iz + by_u.dot(&bend), fy_rate * y * iz + by_v.dot(&bend))
+            * scale,
     }
 }
 
-/// `Ad(G_ij)^T` with the sign that turns what is known of the target into what is known of the source:
-/// `H_ij = -M H_jj`, `v_i = -M v_j`, `E_i = -M E_j`.
+/// `Ad(G_ij)^T` with the sign that turns what is known of the target into what is known of the
+/// source: `H_ij = -M H_jj`, `v_i = -M v_j`, `E_i = -M E_j`.
 pub(crate) fn source_from_target(g: &Se3<f64>) -> Matrix6<f64> {
     -g.adjoint().transpose()
 }

@@ -34,7 +34,11 @@ pub struct EdgeSystem {
 
 /// Linearises one edge at the present geometry.
 #[must_use]
-pub fn edge_system(geometry: &Geometry<f64>, factor: &Factor<f64>, options: &DbaOptions) -> EdgeSystem {
+pub fn edge_system(
+    geometry: &Geometry<f64>,
+    factor: &Factor<f64>,
+    options: &DbaOptions,
+) -> EdgeSystem {
     let g = geometry.relative(factor.source, factor.target);
     let (width, len) = (geometry.grid.width, geometry.grid.len());
     let rate = options.fy_rate(&geometry.lens);
@@ -52,15 +56,28 @@ pub fn edge_system(geometry: &Geometry<f64>, factor: &Factor<f64>, options: &Dba
     };
     for n in 0..len {
         let (u, v) = ((n % width) as f64, (n / width) as f64);
-        let p = project(&g, &geometry.lens, rate, u, v, geometry.disparity[factor.source][n]);
+        let p = project(
+            &g,
+            &geometry.lens,
+            rate,
+            u,
+            v,
+            geometry.disparity[factor.source][n],
+        );
         if p.z <= options.min_depth {
             continue;
         }
-        let r = [factor.target_px[0][n] - p.pixel.x, factor.target_px[1][n] - p.pixel.y];
+        let r = [
+            factor.target_px[0][n] - p.pixel.x,
+            factor.target_px[1][n] - p.pixel.y,
+        ];
         let scale = WEIGHT_SCALE / (1.0 + (r[0] * r[0] + r[1] * r[1]) * options.inverse_square());
         for k in 0..2 {
             let w = scale * factor.weight[k][n];
-            let j = [p.by_source.row(k).transpose(), p.by_target.row(k).transpose()];
+            let j = [
+                p.by_source.row(k).transpose(),
+                p.by_target.row(k).transpose(),
+            ];
             let (jz, jf) = (p.by_disparity[k], p.by_focal[k]);
             for a in 0..2 {
                 for b in 0..2 {
@@ -90,8 +107,8 @@ struct Step {
     disparity: BTreeMap<usize, Vec<f64>>,
 }
 
-/// Runs the iterations of `options`. `window` holds the frames whose poses move. Returns how many iterations
-/// failed to factorise; those move nothing.
+/// Runs the iterations of `options`. `window` holds the frames whose poses move. Returns how many
+/// iterations failed to factorise; those move nothing.
 ///
 /// # Errors
 ///
@@ -135,8 +152,11 @@ fn solve(
     let focal = options.free.focal();
     let n = 6 * window.len();
     let size = n + usize::from(focal);
-    let systems: Vec<(&Factor<f64>, EdgeSystem)> =
-        problem.edges.iter().map(|&f| (f, edge_system(geometry, f, options))).collect();
+    let systems: Vec<(&Factor<f64>, EdgeSystem)> = problem
+        .edges
+        .iter()
+        .map(|&f| (f, edge_system(geometry, f, options)))
+        .collect();
     let sources: Vec<usize> = {
         let mut all: Vec<usize> = problem.edges.iter().map(|f| f.source).collect();
         all.sort_unstable();
@@ -144,9 +164,15 @@ fn solve(
         all
     };
     let place = |frame: usize| window.contains(&frame).then(|| 6 * (frame - window.start));
-    let (mut h, mut v) = (DMatrix::<f64>::zeros(size, size), DVector::<f64>::zeros(size));
+    let (mut h, mut v) = (
+        DMatrix::<f64>::zeros(size, size),
+        DVector::<f64>::zeros(size),
+    );
     let mut e = DMatrix::<f64>::zeros(size, sources.len() * len);
-    let (mut c, mut b) = (vec![0.0; sources.len() * len], vec![0.0; sources.len() * len]);
+    let (mut c, mut b) = (
+        vec![0.0; sources.len() * len],
+        vec![0.0; sources.len() * len],
+    );
     for (f, s) in &systems {
         let k = sources.iter().position(|&x| x == f.source)?;
         let places = [place(f.source), place(f.target)];
@@ -196,7 +222,11 @@ fn solve(
     }
     if !options.free.depth() {
         let poses = Cholesky::new(h)?.solve(&v);
-        return Some(Step { poses, focal: 0.0, disparity: BTreeMap::new() });
+        return Some(Step {
+            poses,
+            focal: 0.0,
+            disparity: BTreeMap::new(),
+        });
     }
     for (k, &frame) in sources.iter().enumerate() {
         for p in 0..len {
@@ -222,7 +252,14 @@ fn solve(
     for (z, c) in dz.iter_mut().zip(&c) {
         *z /= c;
     }
-    let disparity =
-        sources.iter().enumerate().map(|(k, &frame)| (frame, dz.as_slice()[k * len..(k + 1) * len].to_vec())).collect();
-    Some(Step { focal: if focal { dx[n] } else { 0.0 }, poses: dx.rows(0, n).into_owned(), disparity })
+    let disparity = sources
+        .iter()
+        .enumerate()
+        .map(|(k, &frame)| (frame, dz.as_slice()[k * len..(k + 1) * len].to_vec()))
+        .collect();
+    Some(Step {
+        focal: if focal { dx[n] } else { 0.0 },
+        poses: dx.rows(0, n).into_owned(),
+        disparity,
+    })
 }

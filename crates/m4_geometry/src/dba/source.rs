@@ -1,12 +1,14 @@
 //! All edges of one source frame: its share of the reduced system.
 //!
-//! The disparities of a frame meet the poses of that frame and of its targets only. Per block of pixels the rows
-//! `F = w J_target Jz` of all its edges are formed, scaled by `Q = 1/C` and multiplied with themselves; nothing
-//! is kept from block to block but sums. The source's own rows are `M_e F_e` summed over the edges
-//! (`M = -Ad(G_ij)^T`), so they are applied to the sums and never to pixels.
+//! The disparities of a frame meet the poses of that frame and of its targets only. Per block of
+//! pixels the rows `F = w J_target Jz` of all its edges are formed, scaled by `Q = 1/C` and
+//! multiplied with themselves; nothing is kept from block to block but sums. The source's own rows
+//! are `M_e F_e` summed over the edges (`M = -Ad(G_ij)^T`), so they are applied to the sums and
+//! never to pixels.
 
 use super::lanes::{
-    BLOCK, EdgeBlock, EdgeConstants, Lane, PAIR, Rays, Row, dot, linearise, load, outer_products, three_by_three,
+    BLOCK, EdgeBlock, EdgeConstants, Lane, PAIR, Rays, Row, dot, linearise, load, outer_products,
+    three_by_three,
 };
 use super::options::{DbaOptions, depth_prior, stepped_disparity};
 use super::problem::{Factor, Geometry, source_from_target};
@@ -29,8 +31,8 @@ pub(super) struct Source<'a> {
     pub edges: Vec<&'a Factor<f32>>,
 }
 
-/// The share of one source: rows and columns are the source, then the target of every edge (six each), then the
-/// focal parameter where it is free.
+/// The share of one source: rows and columns are the source, then the target of every edge (six
+/// each), then the focal parameter where it is free.
 pub(super) struct Part {
     /// Frame of each group of six.
     pub frames: Vec<usize>,
@@ -108,12 +110,18 @@ pub(super) struct Curvature {
 }
 
 impl Curvature {
-    pub(super) const ZERO: Self = Self { c: [0.0; BLOCK], b: [0.0; BLOCK] };
+    pub(super) const ZERO: Self = Self {
+        c: [0.0; BLOCK],
+        b: [0.0; BLOCK],
+    };
 
     #[inline(always)]
     pub(super) fn add(&mut self, block: &EdgeBlock) {
         for l in 0..BLOCK {
-            let (gu, gv) = (block.w[l] * block.jz[l], block.w[BLOCK + l] * block.jz[BLOCK + l]);
+            let (gu, gv) = (
+                block.w[l] * block.jz[l],
+                block.w[BLOCK + l] * block.jz[BLOCK + l],
+            );
             self.c[l] += gu * block.jz[l] + gv * block.jz[BLOCK + l];
             self.b[l] += gu * block.r[l] + gv * block.r[BLOCK + l];
         }
@@ -121,14 +129,27 @@ impl Curvature {
 
     /// Adds the prior; the curvature becomes its inverse, 0 for pixels that pad the block.
     #[inline(always)]
-    pub(super) fn invert(&mut self, context: &Context<'_>, frame: usize, start: usize, disparity: &Lane) {
-        let (eta, sensor) = (load(&context.eta[frame], start), load(&context.geometry.sensor[frame], start));
+    pub(super) fn invert(
+        &mut self,
+        context: &Context<'_>,
+        frame: usize,
+        start: usize,
+        disparity: &Lane,
+    ) {
+        let (eta, sensor) = (
+            load(&context.eta[frame], start),
+            load(&context.geometry.sensor[frame], start),
+        );
         let alpha = context.options.prior_alpha.map(|a| a as f32);
         let count = (context.geometry.grid.len() - start).min(BLOCK);
         for l in 0..BLOCK {
             let (c, b) = depth_prior(alpha, eta[l], disparity[l], sensor[l]);
             self.b[l] += b;
-            self.c[l] = if l < count { 1.0 / (self.c[l] + c) } else { 0.0 };
+            self.c[l] = if l < count {
+                1.0 / (self.c[l] + c)
+            } else {
+                0.0
+            };
         }
     }
 }
@@ -137,17 +158,24 @@ impl Source<'_> {
     pub(super) fn constants(&self, context: &Context<'_>) -> Vec<EdgeConstants> {
         let g = context.geometry;
         let edges = self.edges.iter();
-        edges.map(|f| EdgeConstants::new(g, f.source, f.target, context.options)).collect()
+        edges
+            .map(|f| EdgeConstants::new(g, f.source, f.target, context.options))
+            .collect()
     }
 
     /// This source's share of the reduced system.
     pub(super) fn reduce(&self, context: &Context<'_>) -> Part {
         let free = context.options.free;
         let count = self.edges.len();
-        // The focal row has two empty ones below it, since products are formed three rows at a time.
+        // The focal row has two empty ones below it, since products are formed three rows at a
+        // time.
         let rows = 6 * count + if free.focal() { 3 } else { 0 };
         let mut sums = vec![EdgeSums::default(); count];
-        let mut products = if free.depth() { DMatrix::zeros(rows, rows) } else { DMatrix::zeros(0, 0) };
+        let mut products = if free.depth() {
+            DMatrix::zeros(rows, rows)
+        } else {
+            DMatrix::zeros(0, 0)
+        };
         let mut shift = DVector::zeros(if free.depth() { rows } else { 0 });
         dispatch!(context.level, s => self.sweep(s, context, &mut sums, &mut products, &mut shift));
         self.assemble(context, &sums, &products, &shift)
@@ -175,7 +203,15 @@ impl Source<'_> {
                 f[focal_row] = [0.0; BLOCK];
             }
             for (e, edge) in self.edges.iter().enumerate() {
-                linearise(&constants[e], &edge.target_px, &edge.weight, &context.rays, &disparity, start, &mut block);
+                linearise(
+                    &constants[e],
+                    &edge.target_px,
+                    &edge.weight,
+                    &context.rays,
+                    &disparity,
+                    start,
+                    &mut block,
+                );
                 sums[e].add(s, &block, free.focal());
                 if !free.depth() {
                     continue;
@@ -187,13 +223,15 @@ impl Source<'_> {
                 for a in 0..6 {
                     let row = &mut f[6 * e + a];
                     for l in 0..BLOCK {
-                        row[l] = block.w[l] * block.j[a][l] + block.w[BLOCK + l] * block.j[a][BLOCK + l];
+                        row[l] =
+                            block.w[l] * block.j[a][l] + block.w[BLOCK + l] * block.j[a][BLOCK + l];
                     }
                 }
                 if free.focal() {
                     let row = &mut f[focal_row];
                     for l in 0..BLOCK {
-                        row[l] += block.w[l] * block.jf[l] + block.w[BLOCK + l] * block.jf[BLOCK + l];
+                        row[l] +=
+                            block.w[l] * block.jf[l] + block.w[BLOCK + l] * block.jf[BLOCK + l];
                     }
                 }
             }
@@ -224,7 +262,10 @@ impl Source<'_> {
         let count = self.edges.len();
         let n = 6 * (count + 1);
         let size = n + usize::from(free.focal());
-        let (mut h, mut v) = (DMatrix::<f64>::zeros(size, size), DVector::<f64>::zeros(size));
+        let (mut h, mut v) = (
+            DMatrix::<f64>::zeros(size, size),
+            DVector::<f64>::zeros(size),
+        );
         // The source's rows out of those of the targets.
         let mut gather = DMatrix::<f64>::zeros(6, shift.len());
         let mut squares = (0.0, 0.0);
@@ -283,13 +324,25 @@ impl Source<'_> {
             part -= shift;
         }
         let targets = self.edges.iter().map(|f| f.target);
-        Part { frames: std::iter::once(self.frame).chain(targets).collect(), matrix: h, rhs: v, diagonal, squares }
+        Part {
+            frames: std::iter::once(self.frame).chain(targets).collect(),
+            matrix: h,
+            rhs: v,
+            diagonal,
+            squares,
+        }
     }
 }
 
 impl Source<'_> {
-    /// The disparities after the step: `poses[frame]` holds the twist of every frame, zero where it is fixed.
-    pub(super) fn substitute(&self, context: &Context<'_>, twists: &[Vector6<f64>], focal: f64) -> Vec<f32> {
+    /// The disparities after the step: `poses[frame]` holds the twist of every frame, zero where it
+    /// is fixed.
+    pub(super) fn substitute(
+        &self,
+        context: &Context<'_>,
+        twists: &[Vector6<f64>],
+        focal: f64,
+    ) -> Vec<f32> {
         let mut out = vec![0.0; context.geometry.grid.len()];
         let changes: Vec<[f32; 6]> = self
             .edges
@@ -305,7 +358,13 @@ impl Source<'_> {
     }
 
     #[inline(always)]
-    fn substitute_blocks(&self, context: &Context<'_>, changes: &[[f32; 6]], focal: f32, out: &mut [f32]) {
+    fn substitute_blocks(
+        &self,
+        context: &Context<'_>,
+        changes: &[[f32; 6]],
+        focal: f32,
+        out: &mut [f32],
+    ) {
         let constants = self.constants(context);
         let mut block = EdgeBlock::new();
         for (k, chunk) in out.chunks_mut(BLOCK).enumerate() {
@@ -313,7 +372,15 @@ impl Source<'_> {
             let disparity = load(&context.geometry.disparity[self.frame], start);
             let mut curvature = Curvature::ZERO;
             for (e, edge) in self.edges.iter().enumerate() {
-                linearise(&constants[e], &edge.target_px, &edge.weight, &context.rays, &disparity, start, &mut block);
+                linearise(
+                    &constants[e],
+                    &edge.target_px,
+                    &edge.weight,
+                    &context.rays,
+                    &disparity,
+                    start,
+                    &mut block,
+                );
                 let y = changes[e];
                 // What the poses take away of the residual.
                 for l in 0..PAIR {
@@ -351,7 +418,15 @@ impl Source<'_> {
             let mut curvature = Curvature::ZERO;
             for (e, edge) in self.edges.iter().enumerate() {
                 let constants = constants[e].unscaled();
-                linearise(&constants, &edge.target_px, &ones, &context.rays, &disparity, start, &mut block);
+                linearise(
+                    &constants,
+                    &edge.target_px,
+                    &ones,
+                    &context.rays,
+                    &disparity,
+                    start,
+                    &mut block,
+                );
                 curvature.add(&block);
                 for l in 0..PAIR {
                     block.w[l] *= block.jf[l];

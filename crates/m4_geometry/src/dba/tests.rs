@@ -8,11 +8,23 @@ use m4_core::{CounterRng, Se3, SimdLevel, nalgebra::Vector6};
 /// Seven frames of 21 x 17 pixels: two and a half blocks, so that the last one is padded.
 fn geometry() -> Geometry<f64> {
     let mut rng = CounterRng::new(3, 1, 0);
-    let grid = Grid { width: 21, height: 17 };
-    let plane = |rng: &mut CounterRng| (0..grid.len()).map(|_| 0.2 + 0.6 * rng.uniform()).collect::<Vec<f64>>();
+    let grid = Grid {
+        width: 21,
+        height: 17,
+    };
+    let plane = |rng: &mut CounterRng| {
+        (0..grid.len())
+            .map(|_| 0.2 + 0.6 * rng.uniform())
+            .collect::<Vec<f64>>()
+    };
     Geometry {
         grid,
-        lens: Pinhole { fx: 19.0, fy: 18.2, cx: 10.3, cy: 8.1 },
+        lens: Pinhole {
+            fx: 19.0,
+            fy: 18.2,
+            cx: 10.3,
+            cy: 8.1,
+        },
         poses: (0..7)
             .map(|k| {
                 let wobble = Vector6::from_fn(|_, _| 0.03 * rng.normal());
@@ -21,21 +33,36 @@ fn geometry() -> Geometry<f64> {
             })
             .collect(),
         disparity: (0..7).map(|_| plane(&mut rng)).collect(),
-        sensor: (0..7).map(|_| plane(&mut rng).into_iter().map(|d| if d < 0.4 { 0.0 } else { d }).collect()).collect(),
+        sensor: (0..7)
+            .map(|_| {
+                plane(&mut rng)
+                    .into_iter()
+                    .map(|d| if d < 0.4 { 0.0 } else { d })
+                    .collect()
+            })
+            .collect(),
     }
 }
 
-/// Edges over up to three frames, one pair twice; targets a few pixels off, a tenth of them far off.
+/// Edges over up to three frames, one pair twice; targets a few pixels off, a tenth of them far
+/// off.
 fn factors(geometry: &Geometry<f64>) -> Vec<Factor<f64>> {
     let mut rng = CounterRng::new(3, 2, 0);
-    let mut pairs: Vec<(usize, usize)> =
-        (0..7_usize).flat_map(|i| (0..7).map(move |j| (i, j))).filter(|&(i, j)| i != j && i.abs_diff(j) < 4).collect();
+    let mut pairs: Vec<(usize, usize)> = (0..7_usize)
+        .flat_map(|i| (0..7).map(move |j| (i, j)))
+        .filter(|&(i, j)| i != j && i.abs_diff(j) < 4)
+        .collect();
     pairs.push((2, 3));
     pairs
         .into_iter()
         .map(|(source, target)| {
             let g = geometry.relative(source, target);
-            let mut out = Factor { source, target, target_px: Default::default(), weight: Default::default() };
+            let mut out = Factor {
+                source,
+                target,
+                target_px: Default::default(),
+                weight: Default::default(),
+            };
             for (n, &d) in geometry.disparity[source].iter().enumerate() {
                 let (u, v) = ((n % 21) as f64, (n / 21) as f64);
                 let p = project(&g, &geometry.lens, 1.0, u, v, d).pixel;
@@ -51,7 +78,10 @@ fn factors(geometry: &Geometry<f64>) -> Vec<Factor<f64>> {
 }
 
 pub(crate) fn narrow(planes: &[Vec<f64>]) -> Vec<Vec<f32>> {
-    planes.iter().map(|p| p.iter().map(|&x| x as f32).collect()).collect()
+    planes
+        .iter()
+        .map(|p| p.iter().map(|&x| x as f32).collect())
+        .collect()
 }
 
 pub(crate) fn narrow_geometry(g: &Geometry<f64>) -> Geometry<f32> {
@@ -68,19 +98,42 @@ pub(crate) fn narrow_factors(factors: &[Factor<f64>]) -> Vec<Factor<f32>> {
     let pair = |p: &[Vec<f64>; 2]| p.clone().map(|p| p.into_iter().map(|x| x as f32).collect());
     factors
         .iter()
-        .map(|f| Factor { source: f.source, target: f.target, target_px: pair(&f.target_px), weight: pair(&f.weight) })
+        .map(|f| Factor {
+            source: f.source,
+            target: f.target,
+            target_px: pair(&f.target_px),
+            weight: pair(&f.weight),
+        })
         .collect()
 }
 
 fn options() -> Vec<DbaOptions> {
-    let one = DbaOptions { iterations: 1, ..DbaOptions::default() };
-    let focal = DbaOptions { free: Free::PosesDepthAndFocal, ..one };
+    let one = DbaOptions {
+        iterations: 1,
+        ..DbaOptions::default()
+    };
+    let focal = DbaOptions {
+        free: Free::PosesDepthAndFocal,
+        ..one
+    };
     vec![
         one,
         focal,
-        DbaOptions { free: Free::Poses, cauchy_px: Some(0.7), ..one },
-        DbaOptions { cauchy_px: Some(1.0), prior_alpha: None, ..focal },
-        DbaOptions { iterations: 2, python_twin: true, ..focal },
+        DbaOptions {
+            free: Free::Poses,
+            cauchy_px: Some(0.7),
+            ..one
+        },
+        DbaOptions {
+            cauchy_px: Some(1.0),
+            prior_alpha: None,
+            ..focal
+        },
+        DbaOptions {
+            iterations: 2,
+            python_twin: true,
+            ..focal
+        },
     ]
 }
 
@@ -89,7 +142,10 @@ fn fast(level: Level, window: std::ops::Range<usize>, options: &DbaOptions) -> G
     let start = geometry();
     let factors = narrow_factors(&factors(&start));
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
-    let problem = Problem { edges: &edges, eta: &vec![vec![0.01; start.grid.len()]; 7] };
+    let problem = Problem {
+        edges: &edges,
+        eta: &vec![vec![0.01; start.grid.len()]; 7],
+    };
     let mut got = narrow_geometry(&start);
     let report = adjust_on(level, &mut got, &problem, window, options).expect("a sound problem");
     assert_eq!(report.failed, 0);
@@ -103,11 +159,15 @@ fn the_fast_path_agrees_with_the_reference_on_every_level() {
     let factors = factors(&start);
     let edges: Vec<&Factor<f64>> = factors.iter().collect();
     let eta = vec![vec![0.01; start.grid.len()]; 7];
-    let problem = Problem { edges: &edges, eta: &eta };
+    let problem = Problem {
+        edges: &edges,
+        eta: &eta,
+    };
     for (case, options) in options().into_iter().enumerate() {
         for window in [1..7, 2..5] {
             let mut want = start.clone();
-            let failed = adjust_reference(&mut want, &problem, window.clone(), &options).expect("a sound problem");
+            let failed = adjust_reference(&mut want, &problem, window.clone(), &options)
+                .expect("a sound problem");
             assert_eq!(failed, 0);
             m4_testkit::on_every_level(
                 &SimdLevel::available(),
@@ -120,20 +180,30 @@ fn the_fast_path_agrees_with_the_reference_on_every_level() {
                         let moved = (want.poses[k].matrix() - start.poses[k].matrix()).amax();
                         let off = (got.poses[k].matrix() - want.poses[k].matrix()).amax();
                         assert!(off < 2e-5, "{what}: pose {k} is off by {off:e}");
-                        assert_eq!(moved > 1e-3, window.contains(&k), "{what}: pose {k} moved by {moved:e}");
+                        assert_eq!(
+                            moved > 1e-3,
+                            window.contains(&k),
+                            "{what}: pose {k} moved by {moved:e}"
+                        );
                     }
                     if options.free.depth() {
-                        let got: Vec<f64> = got.disparity.concat().into_iter().map(f64::from).collect();
+                        let got: Vec<f64> =
+                            got.disparity.concat().into_iter().map(f64::from).collect();
                         let (before, after) = (start.disparity.concat(), want.disparity.concat());
-                        let step =
-                            |after: &[f64]| -> Vec<f64> { after.iter().zip(&before).map(|(a, b)| a - b).collect() };
+                        let step = |after: &[f64]| -> Vec<f64> {
+                            after.iter().zip(&before).map(|(a, b)| a - b).collect()
+                        };
                         m4_testkit::assert_gradient(&what, &step(&got), &step(&after), 1e-4);
                     }
                     if options.free.focal() {
-                        let (got, want) = (got.lens.fx - start.lens.fx, want.lens.fx - start.lens.fx);
+                        let (got, want) =
+                            (got.lens.fx - start.lens.fx, want.lens.fx - start.lens.fx);
                         assert!(want.abs() > 1e-3, "{what}: the focal length stayed");
                         let off = (got / want - 1.0).abs();
-                        assert!(off < 1e-3, "{what}: focal length moved by {got}, not {want}");
+                        assert!(
+                            off < 1e-3,
+                            "{what}: focal length moved by {got}, not {want}"
+                        );
                     }
                 },
             );
@@ -145,7 +215,10 @@ fn the_fast_path_agrees_with_the_reference_on_every_level() {
 fn the_number_of_threads_does_not_change_a_bit() {
     let options = options()[1];
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
         pool.install(|| fast(Level::new(), 1..7, &options))
     };
     let one = run(1);
@@ -183,8 +256,14 @@ fn indefinite_system_changes_nothing_and_is_reported() {
     let start = narrow_geometry(&geometry());
     let factors = narrow_factors(&factors(&geometry()));
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
-    let problem = Problem { edges: &edges, eta: &vec![vec![0.01; start.grid.len()]; 7] };
-    let options = DbaOptions { ep: -1e9, ..DbaOptions::default() };
+    let problem = Problem {
+        edges: &edges,
+        eta: &vec![vec![0.01; start.grid.len()]; 7],
+    };
+    let options = DbaOptions {
+        ep: -1e9,
+        ..DbaOptions::default()
+    };
     let mut got = start.clone();
     let report = adjust(&mut got, &problem, 1..7, &options).expect("a sound problem");
     assert_eq!((report.failed, report.iterations), (2, 2));
@@ -198,9 +277,13 @@ fn mismatched_input_is_rejected() {
     let eta = vec![vec![0.01; start.grid.len()]; 7];
     factors[3].target = 7;
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
-    let problem = Problem { edges: &edges, eta: &eta };
+    let problem = Problem {
+        edges: &edges,
+        eta: &eta,
+    };
     let refused = |start: &mut Geometry<f32>, problem: &Problem<'_, f32>, window| {
-        let error = adjust(start, problem, window, &DbaOptions::default()).expect_err("input that does not fit");
+        let error = adjust(start, problem, window, &DbaOptions::default())
+            .expect_err("input that does not fit");
         error.to_string()
     };
     assert!(refused(&mut start, &problem, 1..7).contains("edge 3"));
@@ -219,8 +302,20 @@ fn the_lower_of_two_middle_values_counts() {
 
 #[test]
 fn a_turning_camera_keeps_its_prior_and_its_focal_length() {
-    let turning = Observability { depth: 0.0, focal: 49.0 };
-    assert_eq!((turning.focal_is_seen(), turning.prior_alpha(1e-5)), (false, Some(1e-5)));
-    let walking = Observability { depth: 25.0, focal: 50.0 };
-    assert_eq!((walking.focal_is_seen(), walking.prior_alpha(1e-5)), (true, None));
+    let turning = Observability {
+        depth: 0.0,
+        focal: 49.0,
+    };
+    assert_eq!(
+        (turning.focal_is_seen(), turning.prior_alpha(1e-5)),
+        (false, Some(1e-5))
+    );
+    let walking = Observability {
+        depth: 25.0,
+        focal: 50.0,
+    };
+    assert_eq!(
+        (walking.focal_is_seen(), walking.prior_alpha(1e-5)),
+        (true, None)
+    );
 }

@@ -8,7 +8,13 @@ use m4_core::{Flow, RgbImage, bilinear_cell, dispatch};
 use search::{Level, pyramid};
 
 /// Bilinear colour at `(x, y)`, clamped to the image.
-pub(crate) fn bilinear_rgb(width: usize, height: usize, plane: &[[u8; 3]], x: f32, y: f32) -> [f32; 3] {
+pub(crate) fn bilinear_rgb(
+    width: usize,
+    height: usize,
+    plane: &[[u8; 3]],
+    x: f32,
+    y: f32,
+) -> [f32; 3] {
     let (i, wx, wy) = bilinear_cell(width, height, x, y);
     std::array::from_fn(|c| {
         let at = |k: usize| f32::from(plane[k][c]);
@@ -28,20 +34,31 @@ pub(crate) struct FlowPair {
 }
 
 impl FlowPair {
-    /// The flow of frame `i` to the next frame or, not `later`, to the one before, and its round trip; `None` past the ends.
+    /// The flow of frame `i` to the next frame or, not `later`, to the one before, and its round
+    /// trip; `None` past the ends.
     pub fn step(flows: &[Self], i: usize, later: bool) -> Option<(&Flow, &[f32])> {
         if later {
-            flows.get(i).map(|pair| (&pair.forward, pair.forward_round_trip.as_slice()))
+            flows
+                .get(i)
+                .map(|pair| (&pair.forward, pair.forward_round_trip.as_slice()))
         } else {
-            flows.get(i.checked_sub(1)?).map(|pair| (&pair.backward, pair.backward_round_trip.as_slice()))
+            flows
+                .get(i.checked_sub(1)?)
+                .map(|pair| (&pair.backward, pair.backward_round_trip.as_slice()))
         }
     }
 
     /// Exact flow, both ways.
     #[cfg(test)]
     pub fn exact(forward: Flow, backward: Flow) -> Self {
-        let [forward_round_trip, backward_round_trip] = [&forward, &backward].map(|flow| vec![0.0; flow.u.len()]);
-        Self { forward, backward, forward_round_trip, backward_round_trip }
+        let [forward_round_trip, backward_round_trip] =
+            [&forward, &backward].map(|flow| vec![0.0; flow.u.len()]);
+        Self {
+            forward,
+            backward,
+            forward_round_trip,
+            backward_round_trip,
+        }
     }
 
     /// Of flow both ways, of one size.
@@ -81,7 +98,8 @@ fn coarse_to_fine(a: &[Level], b: &[Level]) -> Flow {
     flow.unwrap_or_default()
 }
 
-/// How far a pixel lands from where it started after going there and back, pixels; infinite outside.
+/// How far a pixel lands from where it started after going there and back, pixels; infinite
+/// outside.
 pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     let (w, h) = (there.width, there.height);
     let mut out = vec![0.0; w * h];
@@ -119,7 +137,12 @@ impl ScaledFrame {
     /// The image at `width` x `height` pixels, by areas.
     pub fn new(image: &RgbImage, (width, height): (usize, usize)) -> Self {
         let (rgb, grey) = rgb_and_grey(image, width, height);
-        Self { width, height, rgb, grey }
+        Self {
+            width,
+            height,
+            rgb,
+            grey,
+        }
     }
 }
 
@@ -183,12 +206,18 @@ mod tests {
     #[test]
     fn shifts_and_zooms_are_found() {
         let (cx, cy, s) = (48.0, 36.0, 1.06);
-        let shift = |u: f32, v: f32, gain: f32| error_px(|_, _| (u, v), |x, y| (x - u, y - v), gain);
+        let shift =
+            |u: f32, v: f32, gain: f32| error_px(|_, _| (u, v), |x, y| (x - u, y - v), gain);
         let zoom = |x: f32, y: f32| ((s - 1.0) * (x - cx), (s - 1.0) * (y - cy));
         let zoomed = error_px(zoom, |x, y| (cx + (x - cx) / s, cy + (y - cy) / s), 1.0);
         for (what, (error, trip), most, most_trip) in [
             ("a shift", shift(3.4, -2.3, 1.0), 0.1, 0.1),
-            ("a large shift with another exposure", shift(-9.6, 4.2, 1.05), 0.25, f32::INFINITY),
+            (
+                "a large shift with another exposure",
+                shift(-9.6, 4.2, 1.05),
+                0.25,
+                f32::INFINITY,
+            ),
             ("a zoom", zoomed, 0.1, f32::INFINITY),
         ] {
             assert!(error < most && trip < most_trip, "{what}: {error} {trip}");
@@ -198,8 +227,11 @@ mod tests {
     #[test]
     fn images_smaller_than_a_patch_have_flow() {
         let (w, h) = (6, 5);
-        let image =
-            |shift: f32| -> Vec<f32> { (0..w * h).map(|i| texture((i % w) as f32 - shift, (i / w) as f32)).collect() };
+        let image = |shift: f32| -> Vec<f32> {
+            (0..w * h)
+                .map(|i| texture((i % w) as f32 - shift, (i / w) as f32))
+                .collect()
+        };
         let found = flow(&pyramid(w, h, &image(0.0)), &pyramid(w, h, &image(0.3)));
         assert_eq!((found.width, found.height), (w, h));
         assert!(found.u.iter().chain(&found.v).all(|v| v.is_finite()));

@@ -1,5 +1,6 @@
-//! Images at halving sizes, and inverse search: each patch of the first image is aligned to the second by Gauss-Newton with the
-//! Hessian of the first (Kroeger et al. 2016, section 2.1), then patches are averaged (section 2.2).
+//! Images at halving sizes, and inverse search: each patch of the first image is aligned to the
+//! second by Gauss-Newton with the Hessian of the first (Kroeger et al. 2016, section 2.1), then
+//! patches are averaged (section 2.2).
 
 use m4_core::Flow;
 
@@ -50,8 +51,16 @@ fn smooth(width: usize, height: usize, image: &[f32]) -> Vec<f32> {
         (0..source.len())
             .map(|i| {
                 let (position, n) = at(i);
-                let before = if position > 0 { source[i - step] } else { source[i] };
-                let after = if position + 1 < n { source[i + step] } else { source[i] };
+                let before = if position > 0 {
+                    source[i - step]
+                } else {
+                    source[i]
+                };
+                let after = if position + 1 < n {
+                    source[i + step]
+                } else {
+                    source[i]
+                };
                 0.125 * (before + after) + 0.75 * source[i]
             })
             .collect()
@@ -72,7 +81,14 @@ impl Level {
             row[BORDER + width..].fill(source[width - 1]);
         }
         let (dx, dy) = gradient(width, height, &image);
-        Self { width, height, image, padded, dx, dy }
+        Self {
+            width,
+            height,
+            image,
+            padded,
+            dx,
+            dy,
+        }
     }
 }
 
@@ -83,7 +99,8 @@ pub(super) fn gradient(width: usize, height: usize, image: &[f32]) -> (Vec<f32>,
         let (above, below) = (y.saturating_sub(1) * width, (y + 1).min(height - 1) * width);
         let row = y * width;
         for x in 0..width {
-            dx[row + x] = 0.5 * (image[row + (x + 1).min(width - 1)] - image[row + x.saturating_sub(1)]);
+            dx[row + x] =
+                0.5 * (image[row + (x + 1).min(width - 1)] - image[row + x.saturating_sub(1)]);
             dy[row + x] = 0.5 * (image[below + x] - image[above + x]);
         }
     }
@@ -122,9 +139,16 @@ pub(super) fn search(a: &Level, b: &Level, start: Flow) -> Flow {
         return start;
     }
     let (xs, ys) = (positions(a.width), positions(a.height));
-    let mut search = Search { a, b, difference: [[0.0; PATCH_PX]; PATCH_PX] };
-    let patches: Vec<Patch> =
-        ys.iter().flat_map(|&y| xs.iter().map(move |&x| (x, y))).map(|(x, y)| Patch::new(a, x, y)).collect();
+    let mut search = Search {
+        a,
+        b,
+        difference: [[0.0; PATCH_PX]; PATCH_PX],
+    };
+    let patches: Vec<Patch> = ys
+        .iter()
+        .flat_map(|&y| xs.iter().map(move |&x| (x, y)))
+        .map(|(x, y)| Patch::new(a, x, y))
+        .collect();
     let centre = (PATCH_PX / 2) as f32 - 0.5;
     let mut flow: Vec<[f32; 2]> = patches
         .iter()
@@ -134,7 +158,11 @@ pub(super) fn search(a: &Level, b: &Level, start: Flow) -> Flow {
         })
         .collect();
     let initial = flow.clone();
-    let mut cost: Vec<f32> = patches.iter().zip(&flow).map(|(p, &f)| search.cost(p, f)).collect();
+    let mut cost: Vec<f32> = patches
+        .iter()
+        .zip(&flow)
+        .map(|(p, &f)| search.cost(p, f))
+        .collect();
     let columns = xs.len();
     // Forwards, candidates from left and above; then backwards, from right and below.
     for backwards in [false, true] {
@@ -142,7 +170,10 @@ pub(super) fn search(a: &Level, b: &Level, start: Flow) -> Flow {
             let i = if backwards { patches.len() - 1 - k } else { k };
             let (column, row) = (i % columns, i / columns);
             let neighbours = if backwards {
-                [(column + 1 < columns).then(|| i + 1), (row + 1 < ys.len()).then(|| i + columns)]
+                [
+                    (column + 1 < columns).then(|| i + 1),
+                    (row + 1 < ys.len()).then(|| i + columns),
+                ]
             } else {
                 [(column > 0).then(|| i - 1), (row > 0).then(|| i - columns)]
             };
@@ -169,7 +200,9 @@ pub(super) fn search(a: &Level, b: &Level, start: Flow) -> Flow {
 /// A row of a patch that begins at `from`.
 #[inline(always)]
 fn row<const N: usize>(plane: &[f32], from: usize) -> &[f32; N] {
-    plane[from..].first_chunk().expect("patches lie inside of their planes")
+    plane[from..]
+        .first_chunk()
+        .expect("patches lie inside of their planes")
 }
 
 /// Sums of the lanes, in pairs.
@@ -186,7 +219,8 @@ impl Patch {
         let mut sums = [[0.0f32; PATCH_PX]; 5];
         for j in 0..PATCH_PX {
             let from = (y + j) * a.width + x;
-            let (dx, dy): (&[f32; PATCH_PX], &[f32; PATCH_PX]) = (row(&a.dx, from), row(&a.dy, from));
+            let (dx, dy): (&[f32; PATCH_PX], &[f32; PATCH_PX]) =
+                (row(&a.dx, from), row(&a.dy, from));
             for i in 0..PATCH_PX {
                 let (gx, gy) = (dx[i], dy[i]);
                 for (sum, add) in sums.iter_mut().zip([gx * gx, gx * gy, gy * gy, gx, gy]) {
@@ -200,8 +234,14 @@ impl Patch {
         // A little of the trace keeps the step along an edge finite.
         let damp = 0.01 * (xx + yy) + 1e-3 * n;
         let det = (xx + damp) * (yy + damp) - xy * xy;
-        let inverse = (xx + yy > 0.5 * n).then(|| [(yy + damp) / det, -xy / det, (xx + damp) / det]);
-        Self { x, y, inverse, sum: [sx, sy] }
+        let inverse =
+            (xx + yy > 0.5 * n).then(|| [(yy + damp) / det, -xy / det, (xx + damp) / det]);
+        Self {
+            x,
+            y,
+            inverse,
+            sum: [sx, sy],
+        }
     }
 }
 
@@ -211,7 +251,10 @@ impl Search<'_> {
     fn sample(&mut self, patch: &Patch, f: [f32; 2]) -> f32 {
         let b = self.b;
         let stride = b.width + 2 * BORDER;
-        let limit = |v: f32, n: usize| v.max(0.0).min((n + 2 * BORDER - PATCH_PX - 1) as f32 - 1e-3);
+        let limit = |v: f32, n: usize| {
+            v.max(0.0)
+                .min((n + 2 * BORDER - PATCH_PX - 1) as f32 - 1e-3)
+        };
         let x = limit(patch.x as f32 + f[0] + BORDER as f32, b.width);
         let y = limit(patch.y as f32 + f[1] + BORDER as f32, b.height);
         let (ix, iy) = (x as usize, y as usize);
@@ -238,7 +281,10 @@ impl Search<'_> {
         let mean = self.sample(patch, f);
         let mut squares = [0.0f32; PATCH_PX];
         for difference in &self.difference {
-            squares.iter_mut().zip(difference).for_each(|(square, d)| *square += d * d);
+            squares
+                .iter_mut()
+                .zip(difference)
+                .for_each(|(square, d)| *square += d * d);
         }
         total(squares) - mean * mean * (PATCH_PX * PATCH_PX) as f32
     }
@@ -254,20 +300,28 @@ impl Search<'_> {
             let (mut bx, mut by) = ([0.0f32; PATCH_PX], [0.0f32; PATCH_PX]);
             for (j, d) in self.difference.iter().enumerate() {
                 let from = (patch.y + j) * self.a.width + patch.x;
-                let (gx, gy): (&[f32; PATCH_PX], &[f32; PATCH_PX]) = (row(&self.a.dx, from), row(&self.a.dy, from));
+                let (gx, gy): (&[f32; PATCH_PX], &[f32; PATCH_PX]) =
+                    (row(&self.a.dx, from), row(&self.a.dy, from));
                 for i in 0..PATCH_PX {
                     bx[i] += gx[i] * d[i];
                     by[i] += gy[i] * d[i];
                 }
             }
-            let (bx, by) = (total(bx) - patch.sum[0] * mean, total(by) - patch.sum[1] * mean);
+            let (bx, by) = (
+                total(bx) - patch.sum[0] * mean,
+                total(by) - patch.sum[1] * mean,
+            );
             let (du, dv) = (ixx * bx + ixy * by, ixy * bx + iyy * by);
             f = [f[0] - du, f[1] - dv];
             if du * du + dv * dv < SMALL_STEP_PX * SMALL_STEP_PX {
                 break;
             }
         }
-        if f[0].is_finite() && f[1].is_finite() { f } else { start }
+        if f[0].is_finite() && f[1].is_finite() {
+            f
+        } else {
+            start
+        }
     }
 }
 

@@ -26,7 +26,8 @@ const OMEGA: f32 = 1.6;
 /// Numbers that are worked out side by side.
 const LANES: usize = 16;
 
-/// Calls a method for every number below `$count`, [`LANES`] at once, then one at a time; the call takes how many as its constant.
+/// Calls a method for every number below `$count`, [`LANES`] at once, then one at a time; the call
+/// takes how many as its constant.
 macro_rules! in_lanes {
     ($count:expr, $i:ident => $object:ident.$method:ident($($argument:expr),*)) => {{
         let (count, mut $i) = ($count, 0);
@@ -43,22 +44,28 @@ macro_rules! in_lanes {
 
 #[inline(always)]
 fn load<const N: usize>(plane: &[f32], from: usize) -> [f32; N] {
-    *plane[from..].first_chunk().expect("the plane has that many")
+    *plane[from..]
+        .first_chunk()
+        .expect("the plane has that many")
 }
 
 #[inline(always)]
 fn store<const N: usize>(plane: &mut [f32], from: usize, values: [f32; N]) {
-    *plane[from..].first_chunk_mut().expect("the plane has that many") = values;
+    *plane[from..]
+        .first_chunk_mut()
+        .expect("the plane has that many") = values;
 }
 
-/// One linearisation of the energy, as what each pixel goes to given those around it: `goal + response pull`, where `pull` is the sum over its
-/// four neighbours of their flow times its coupling to them. All planes are `[height][width]`.
+/// One linearisation of the energy, as what each pixel goes to given those around it:
+/// `goal + response pull`, where `pull` is the sum over its four neighbours of their flow times its
+/// coupling to them. All planes are `[height][width]`.
 struct System {
     /// Along x and y.
     goal: [Vec<f32>; 2],
     /// `[r11 r12; r12 r22]`.
     response: [Vec<f32>; 3],
-    /// Smoothness between a pixel and the one before it in its row, and one more 0 at the end; 0 at the rim.
+    /// Smoothness between a pixel and the one before it in its row, and one more 0 at the end; 0 at
+    /// the rim.
     before: Vec<f32>,
     /// Smoothness between a pixel and the one above, and one more row of 0; 0 at the rim.
     above: Vec<f32>,
@@ -79,7 +86,9 @@ pub(super) fn refine(a: &Level, b: &Level, flow: &mut Flow) {
             relax(&system, (w, h), &mut relaxed);
         }
         for (relaxed, flow) in relaxed.iter().zip([u, v]) {
-            flow.iter_mut().zip(&relaxed[w..]).for_each(|(flow, to)| *flow += (to - *flow).clamp(-2.0, 2.0));
+            flow.iter_mut()
+                .zip(&relaxed[w..])
+                .for_each(|(flow, to)| *flow += (to - *flow).clamp(-2.0, 2.0));
         }
     }
 }
@@ -98,7 +107,12 @@ fn warp(b: &Level, flow: &Flow) -> ([Vec<f32>; 3], Vec<f32>) {
                 inside[i] = 0.0;
             }
             let (c, fx, fy) = bilinear_cell(w, h, qx, qy);
-            let (w00, w10, w01, w11) = ((1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy);
+            let (w00, w10, w01, w11) = (
+                (1.0 - fx) * (1.0 - fy),
+                fx * (1.0 - fy),
+                (1.0 - fx) * fy,
+                fx * fy,
+            );
             for (out, p) in out.iter_mut().zip([&b.image, &b.dx, &b.dy]) {
                 out[i] = w00 * p[c] + w10 * p[c + 1] + w01 * p[c + w] + w11 * p[c + w + 1];
             }
@@ -111,20 +125,38 @@ fn warp(b: &Level, flow: &Flow) -> ([Vec<f32>; 3], Vec<f32>) {
 fn linearise(a: &Level, b: &Level, flow: &Flow) -> System {
     let (w, h) = (a.width, a.height);
     let ([image, dx, dy], inside) = warp(b, flow);
-    let mean = |p: &[f32], q: &[f32]| -> Vec<f32> { p.iter().zip(q).map(|(p, q)| 0.5 * (p + q)).collect() };
+    let mean = |p: &[f32], q: &[f32]| -> Vec<f32> {
+        p.iter().zip(q).map(|(p, q)| 0.5 * (p + q)).collect()
+    };
     let (ix, iy) = (mean(&dx, &a.dx), mean(&dy, &a.dy));
     let ((ixx, ixy), (_, iyy)) = (gradient(w, h, &ix), gradient(w, h, &iy));
     let (right, below) = smoothness(flow);
     let before: Vec<f32> = iter::once(0.0).chain(right).collect();
     let above: Vec<f32> = iter::repeat_n(0.0, w).chain(below).collect();
     let plane = || vec![0.0f32; w * h];
-    let mut system = System { goal: [plane(), plane()], response: [plane(), plane(), plane()], before, above };
-    let seen = Seen { image, dx, dy, ix, iy, ixx, ixy, iyy, inside };
+    let mut system = System {
+        goal: [plane(), plane()],
+        response: [plane(), plane(), plane()],
+        before,
+        above,
+    };
+    let seen = Seen {
+        image,
+        dx,
+        dy,
+        ix,
+        iy,
+        ixx,
+        ixy,
+        iyy,
+        inside,
+    };
     in_lanes!(w * h, i => system.set(a, &seen, flow, i));
     system
 }
 
-/// What a linearisation is made of: the warped image with its gradient, the mean gradient of both images with its own, and 0 outside.
+/// What a linearisation is made of: the warped image with its gradient, the mean gradient of both
+/// images with its own, and 0 outside.
 struct Seen {
     image: Vec<f32>,
     dx: Vec<f32>,
@@ -142,9 +174,12 @@ impl System {
     #[inline(always)]
     fn set<const N: usize>(&mut self, a: &Level, seen: &Seen, flow: &Flow, i: usize) {
         let at = |plane: &[f32]| load::<N>(plane, i);
-        let [image, dx, dy, inside] = [&seen.image, &seen.dx, &seen.dy, &seen.inside].map(|plane| at(plane));
-        let [ix, iy, ixx, ixy, iyy] = [&seen.ix, &seen.iy, &seen.ixx, &seen.ixy, &seen.iyy].map(|plane| at(plane));
-        let [a_image, a_dx, a_dy, u, v] = [&a.image, &a.dx, &a.dy, &flow.u, &flow.v].map(|plane| at(plane));
+        let [image, dx, dy, inside] =
+            [&seen.image, &seen.dx, &seen.dy, &seen.inside].map(|plane| at(plane));
+        let [ix, iy, ixx, ixy, iyy] =
+            [&seen.ix, &seen.iy, &seen.ixx, &seen.ixy, &seen.iyy].map(|plane| at(plane));
+        let [a_image, a_dx, a_dy, u, v] =
+            [&a.image, &a.dx, &a.dy, &flow.u, &flow.v].map(|plane| at(plane));
         let [left, right] = [i, i + 1].map(|i| load::<N>(&self.before, i));
         let [above, below] = [i, i + flow.width].map(|i| load::<N>(&self.above, i));
         let mut out = [[0.0f32; N]; 5];
@@ -156,7 +191,8 @@ impl System {
             let n1 = 1.0 / (ixx[k] * ixx[k] + ixy[k] * ixy[k] + NORMALISE);
             let n2 = 1.0 / (ixy[k] * ixy[k] + iyy[k] * iyy[k] + NORMALISE);
             let brightness = inside[k] * BRIGHTNESS / (n0 * it * it + ROBUST * ROBUST).sqrt();
-            let edges = inside[k] * GRADIENT / (n1 * ixt * ixt + n2 * iyt * iyt + ROBUST * ROBUST).sqrt();
+            let edges =
+                inside[k] * GRADIENT / (n1 * ixt * ixt + n2 * iyt * iyt + ROBUST * ROBUST).sqrt();
             let (k0, k1, k2) = (brightness * n0, edges * n1, edges * n2);
             // [a11 a12; a12 a22] (du, dv) = (b1, b2), with the smoothness on the left
             let coupled = left[k] + right[k] + above[k] + below[k];
@@ -166,7 +202,12 @@ impl System {
             let b1 = -(k0 * ix[k] * it + k1 * ixx[k] * ixt + k2 * ixy[k] * iyt) - coupled * u[k];
             let b2 = -(k0 * iy[k] * it + k1 * ixy[k] * ixt + k2 * iyy[k] * iyt) - coupled * v[k];
             let determinant = a11 * a22 - a12 * a12;
-            let inverse = 1.0 / if determinant > 1e-12 { determinant } else { 1e-12 };
+            let inverse = 1.0
+                / if determinant > 1e-12 {
+                    determinant
+                } else {
+                    1e-12
+                };
             let [r11, r12, r22] = [a22 * inverse, -a12 * inverse, a11 * inverse];
             out[0][k] = r11;
             out[1][k] = r12;
@@ -179,16 +220,20 @@ impl System {
         }
     }
 
-    /// Relaxes those of `N` pixels from `i` on whose turn it is: the first, or not `even`, the second, and every second from there. `flow` has a row more
-    /// above and below.
+    /// Relaxes those of `N` pixels from `i` on whose turn it is: the first, or not `even`, the
+    /// second, and every second from there. `flow` has a row more above and below.
     ///
-    /// All are worked out and half of them kept: pixels of one colour do not see each other, and what has no branches and no strides runs on vector
-    /// instructions.
+    /// All are worked out and half of them kept: pixels of one colour do not see each other, and
+    /// what has no branches and no strides runs on vector instructions.
     #[inline(always)]
     fn relax<const N: usize>(&self, width: usize, flow: &mut [Vec<f32>; 2], i: usize, even: bool) {
         let here = i + width;
-        let coupling: [[f32; N]; 4] =
-            [load(&self.before, i), load(&self.before, i + 1), load(&self.above, i), load(&self.above, here)];
+        let coupling: [[f32; N]; 4] = [
+            load(&self.before, i),
+            load(&self.before, i + 1),
+            load(&self.above, i),
+            load(&self.above, here),
+        ];
         let pull = |flow: &[f32]| -> [f32; N] {
             let [left, right, above, below]: [[f32; N]; 4] =
                 [here - 1, here + 1, i, here + width].map(|from| load(flow, from));
@@ -207,7 +252,13 @@ impl System {
         let [goal_u, goal_v]: [[f32; N]; 2] = self.goal.each_ref().map(|plane| load(plane, i));
         let [mut u, mut v]: [[f32; N]; 2] = flow.each_ref().map(|plane| load(plane, here));
         for k in 0..N {
-            let relaxed = |from: f32, to: f32| if (k % 2 == 0) == even { from + OMEGA * (to - from) } else { from };
+            let relaxed = |from: f32, to: f32| {
+                if (k % 2 == 0) == even {
+                    from + OMEGA * (to - from)
+                } else {
+                    from
+                }
+            };
             u[k] = relaxed(u[k], goal_u[k] + r11[k] * pull_u[k] + r12[k] * pull_v[k]);
             v[k] = relaxed(v[k], goal_v[k] + r12[k] * pull_u[k] + r22[k] * pull_v[k]);
         }
@@ -216,20 +267,24 @@ impl System {
     }
 }
 
-/// [`SMOOTHNESS`] over `sqrt(|grad u|^2 + |grad v|^2 + e^2)`, averaged onto the edges between pixels; 0 at the rim.
+/// [`SMOOTHNESS`] over `sqrt(|grad u|^2 + |grad v|^2 + e^2)`, averaged onto the edges between
+/// pixels; 0 at the rim.
 #[inline(always)]
 fn smoothness(flow: &Flow) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (flow.width, flow.height);
     let ((ux, uy), (vx, vy)) = (gradient(w, h, &flow.u), gradient(w, h, &flow.v));
     let psi: Vec<f32> = (0..w * h)
         .map(|i| {
-            0.5 * SMOOTHNESS / (ux[i] * ux[i] + uy[i] * uy[i] + vx[i] * vx[i] + vy[i] * vy[i] + ROBUST * ROBUST).sqrt()
+            0.5 * SMOOTHNESS
+                / (ux[i] * ux[i] + uy[i] * uy[i] + vx[i] * vx[i] + vy[i] * vy[i] + ROBUST * ROBUST)
+                    .sqrt()
         })
         .collect();
     couplings(w, h, |i, j| psi[i] + psi[j])
 }
 
-/// One red-black sweep of successive over-relaxation of `flow`, which has a row more above and below.
+/// One red-black sweep of successive over-relaxation of `flow`, which has a row more above and
+/// below.
 #[inline(always)]
 fn relax(system: &System, (w, h): (usize, usize), flow: &mut [Vec<f32>; 2]) {
     for colour in 0..2 {
@@ -256,7 +311,9 @@ mod tests {
             let at = |i: usize| ((i % W) as f32 - shift, (i / W) as f32);
             (0..W * H)
                 .map(at)
-                .map(|(x, y)| 128.0 + 50.0 * (0.5 * x + 0.2 * y).sin() + 30.0 * (0.3 * y - 0.1 * x).cos())
+                .map(|(x, y)| {
+                    128.0 + 50.0 * (0.5 * x + 0.2 * y).sin() + 30.0 * (0.3 * y - 0.1 * x).cos()
+                })
                 .collect()
         };
         let (a, b) = (pyramid(W, H, &image(0.0)), pyramid(W, H, &image(0.7)));

@@ -5,7 +5,8 @@ use super::{Ending, InstanceRecord};
 use m4_core::CompactMask;
 use std::collections::BTreeMap;
 
-/// A mask that grows by more than this from one frame to the next and covers too much has become background.
+/// A mask that grows by more than this from one frame to the next and covers too much has become
+/// background.
 const LEAP: usize = 2;
 
 /// One object.
@@ -22,13 +23,18 @@ pub(super) struct TrackedObject {
 }
 
 impl TrackedObject {
-    /// Notes how it is seen in a frame, going on in a direction; `most_px` is the area beyond which a sudden growth is background.
+    /// Notes how it is seen in a frame, going on in a direction; `most_px` is the area beyond which
+    /// a sudden growth is background.
     pub fn note(&mut self, frame: usize, found: &ObjectMask, later: bool, most_px: usize) {
         self.lost[usize::from(!later)] |= found.lost;
         let Some(outline) = Outline::of(&found.mask) else {
             return;
         };
-        let near = if later { self.masks.range(..frame).next_back() } else { self.masks.range(frame + 1..).next() };
+        let near = if later {
+            self.masks.range(..frame).next_back()
+        } else {
+            self.masks.range(frame + 1..).next()
+        };
         let before = near.map_or(usize::MAX, |(_, mask)| mask.area());
         if outline.area() <= most_px || outline.area() / LEAP <= before {
             self.masks.insert(frame, outline);
@@ -37,7 +43,10 @@ impl TrackedObject {
 
     /// Half of the frames that both are seen in, they overlap by more than `least`.
     pub fn is_also(&self, other: &Self, least: f32) -> bool {
-        let common = self.masks.iter().filter_map(|(frame, a)| Some((a, other.masks.get(frame)?)));
+        let common = self
+            .masks
+            .iter()
+            .filter_map(|(frame, a)| Some((a, other.masks.get(frame)?)));
         let (mut same, mut all) = (0usize, 0usize);
         for (a, b) in common {
             all += 1;
@@ -62,14 +71,24 @@ impl TrackedObject {
     }
 
     /// What the report says of it; `None` if no frame shows it.
-    pub fn record(&self, id: u16, supported_share: f64, pixels: usize, frames: usize) -> Option<InstanceRecord> {
+    pub fn record(
+        &self,
+        id: u16,
+        supported_share: f64,
+        pixels: usize,
+        frames: usize,
+    ) -> Option<InstanceRecord> {
         let (&first_frame, _) = self.masks.first_key_value()?;
         let (&last_frame, _) = self.masks.last_key_value()?;
         let area: usize = self.masks.values().map(Outline::area).sum();
         let ending = match (last_frame + 1 == frames, self.lost[0]) {
             (true, _) => Ending::ClipEnd,
-            (false, true) => Ending::Lost { frame: last_frame + 1 },
-            (false, false) => Ending::Unseen { frame: last_frame + 1 },
+            (false, true) => Ending::Lost {
+                frame: last_frame + 1,
+            },
+            (false, false) => Ending::Unseen {
+                frame: last_frame + 1,
+            },
         };
         Some(InstanceRecord {
             id,
@@ -102,8 +121,15 @@ impl Outline {
             ends = Some([x0.min(x), y0.min(y), x1.max(x), y1.max(y)]);
         }
         let [left, top, right, bottom] = ends?;
-        let bits = CompactMask::from_fn(right + 1 - left, bottom + 1 - top, |x, y| mask.at(left + x, top + y));
-        Some(Self { left, top, area: bits.count(), bits })
+        let bits = CompactMask::from_fn(right + 1 - left, bottom + 1 - top, |x, y| {
+            mask.at(left + x, top + y)
+        });
+        Some(Self {
+            left,
+            top,
+            area: bits.count(),
+            bits,
+        })
     }
 
     /// Pixels.
@@ -132,12 +158,18 @@ impl Outline {
 
     /// Column and row of every pixel, row by row.
     pub fn pixels(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
-        self.bits.set_pixels().map(|(x, y)| (self.left + x, self.top + y))
+        self.bits
+            .set_pixels()
+            .map(|(x, y)| (self.left + x, self.top + y))
     }
 
     /// Pixels that both have.
     pub fn common(&self, other: &Self) -> usize {
-        let (small, large) = if self.area <= other.area { (self, other) } else { (other, self) };
+        let (small, large) = if self.area <= other.area {
+            (self, other)
+        } else {
+            (other, self)
+        };
         small.pixels().filter(|&(x, y)| large.at(x, y)).count()
     }
 
@@ -162,12 +194,16 @@ mod tests {
     #[test]
     fn an_outline_is_its_mask() {
         let (w, h) = (40, 30);
-        let one = CompactMask::from_fn(w, h, |x, y| (10..20).contains(&x) && (5..15).contains(&y) && (x + y) % 7 > 0);
+        let one = CompactMask::from_fn(w, h, |x, y| {
+            (10..20).contains(&x) && (5..15).contains(&y) && (x + y) % 7 > 0
+        });
         let two = CompactMask::from_fn(w, h, |x, y| (15..30).contains(&x) && (0..12).contains(&y));
         let (a, b) = (Outline::of(&one).unwrap(), Outline::of(&two).unwrap());
         assert_eq!((a.area(), b.area()), (one.count(), 180));
         assert!((0..w * h).all(|i| a.at(i % w, i / w) == one.at(i % w, i / w)));
-        let both = (0..w * h).filter(|i| one.at(i % w, i / w) && two.at(i % w, i / w)).count();
+        let both = (0..w * h)
+            .filter(|i| one.at(i % w, i / w) && two.at(i % w, i / w))
+            .count();
         assert_eq!((a.common(&b), b.common(&a)), (both, both));
         assert_eq!(a.overlap(&b), both as f32 / (a.area() + 180 - both) as f32);
         assert_eq!(a.with(&b, (w, h)).area(), a.area() + 180 - both);

@@ -1,4 +1,5 @@
-//! Masks over time: things that move are found in coarse masks, outlined once, and followed through the clip.
+//! Masks over time: things that move are found in coarse masks, outlined once, and followed through
+//! the clip.
 //!
 //! ```text
 //! motion probability > tau, or masks --open, parts--> coarse parts
@@ -8,15 +9,18 @@
 //! ```
 //!
 //! Motion gives rough dynamic regions per frame; a segmentation network refines their outlines and
-//! where they are in other frames ([`VideoSession`]): a network with a memory, or [`FlowFollower`], which carries masks along optical flow
-//! and asks a segmenter of single images, if there is one, what they mean there.
+//! where they are in other frames ([`VideoSession`]): a network with a memory, or [`FlowFollower`],
+//! which carries masks along optical flow and asks a segmenter of single images, if there is one,
+//! what they mean there.
 //!
-//! Source: the segmentation-tracking enhancement of Minute4D (docs/spec/front-end.md 2.4: threshold 0.7, prompts
-//! from parts, guards, new prompts every B frames, both ways); prompts as in Kirillov et al., "Segment Anything" (2023), the state
-//! machine as in Ravi et al., "SAM 2: Segment Anything in Images and Videos" (2024).
+//! Source: the segmentation-tracking enhancement of Minute4D (docs/spec/front-end.md 2.4: threshold
+//! 0.7, prompts from parts, guards, new prompts every B frames, both ways); prompts as in Kirillov
+//! et al., "Segment Anything" (2023), the state machine as in Ravi et al., "SAM 2: Segment Anything
+//! in Images and Videos" (2024).
 //!
-//! **Conventions.** Masks are of one working size for the clip, which has the shape of its frames. Places are in pixels of that size; the centre
-//! of the first pixel is (0.5, 0.5). Frames count from 0, numbers of instances from 1.
+//! **Conventions.** Masks are of one working size for the clip, which has the shape of its frames.
+//! Places are in pixels of that size; the centre of the first pixel is (0.5, 0.5). Frames count
+//! from 0, numbers of instances from 1.
 
 mod coarse;
 mod finish;
@@ -39,18 +43,23 @@ pub use source::{ObjectId, ObjectMask, ObjectPrompt, VideoSession};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RefineSettings {
-    /// Longest side of the masks while things are followed, pixels; frames that are smaller are used as they are. 960: the clips of the
-    /// paper's data sets are not made smaller.
+    /// Longest side of the masks while things are followed, pixels; frames that are smaller are
+    /// used as they are. 960: the clips of the paper's data sets are not made smaller.
     pub side_px: usize,
     /// Motion above which a pixel counts as dynamic. Paper: tau = 0.7.
     pub tau: f32,
-    /// Frames from one search for new things to the next. Paper: B = 50 for DyCheck, 2 for NVIDIA Dynamic, 10 for DAVIS.
+    /// Frames from one search for new things to the next. Paper: B = 50 for DyCheck, 2 for NVIDIA
+    /// Dynamic, 10 for DAVIS.
     pub every_frames: usize,
 }
 
 impl Default for RefineSettings {
     fn default() -> Self {
-        Self { side_px: 960, tau: 0.7, every_frames: 10 }
+        Self {
+            side_px: 960,
+            tau: 0.7,
+            every_frames: 10,
+        }
     }
 }
 
@@ -62,13 +71,32 @@ impl RefineSettings {
     /// [`InstanceError::Setting`].
     pub fn check(&self) -> Result<(), InstanceError> {
         let need = |ok: bool, name, value: f64, range| {
-            if ok { Ok(()) } else { Err(InstanceError::Setting { name, value, range }) }
+            if ok {
+                Ok(())
+            } else {
+                Err(InstanceError::Setting { name, value, range })
+            }
         };
         let side = self.side_px;
-        need((64..=4096).contains(&side), "side_px", side as f64, "64 to 4096")?;
+        need(
+            (64..=4096).contains(&side),
+            "side_px",
+            side as f64,
+            "64 to 4096",
+        )?;
         let every = self.every_frames;
-        need((1..=1_000_000).contains(&every), "every_frames", every as f64, "1 to 1000000")?;
-        need((TAU_STILL..=1.0).contains(&self.tau), "tau", self.tau.into(), "0.3 to 1")
+        need(
+            (1..=1_000_000).contains(&every),
+            "every_frames",
+            every as f64,
+            "1 to 1000000",
+        )?;
+        need(
+            (TAU_STILL..=1.0).contains(&self.tau),
+            "tau",
+            self.tau.into(),
+            "0.3 to 1",
+        )
     }
 }
 
@@ -113,7 +141,8 @@ pub enum InstanceError {
 pub enum Ending {
     /// It is seen to the last frame.
     ClipEnd,
-    /// It was lost: it left, something hid it, or it could not be told from what is around it any more.
+    /// It was lost: it left, something hid it, or it could not be told from what is around it any
+    /// more.
     Lost {
         /// The first frame without it.
         frame: usize,

@@ -18,9 +18,10 @@ const MOST_SHARE: f32 = 0.35;
 const LEAST_OVERLAP: f32 = 0.2;
 /// Things that overlap by more (intersection over union) are one. Specification: 0.7.
 pub(super) const MERGE_OVERLAP: f32 = 0.7;
-/// How far from coarse pixels the masks may reach of a segmenter that carries them from frame to frame, share of the longest side: such
-/// masks spread over what they pass and stick to it. 6 px of 480. Where less than a quarter of a mask is left, it is kept whole within
-/// five frames of one where more is, and dropped elsewhere.
+/// How far from coarse pixels the masks may reach of a segmenter that carries them from frame to
+/// frame, share of the longest side: such masks spread over what they pass and stick to it. 6 px of
+/// 480. Where less than a quarter of a mask is left, it is kept whole within five frames of one
+/// where more is, and dropped elsewhere.
 const CARRIED_BOUND: f32 = 6.0 / 480.0;
 /// Sides below this show too little to work on.
 const LEAST_SIDE: usize = 16;
@@ -45,8 +46,9 @@ pub struct Refined {
     pub report: InstanceReport,
 }
 
-/// Finds things in coarse masks, follows them through the clip and says where each is; see [the module](super). `open` starts to
-/// follow things in `images` with masks of the size that it is given.
+/// Finds things in coarse masks, follows them through the clip and says where each is; see [the
+/// module](super). `open` starts to follow things in `images` with masks of the size that it is
+/// given.
 ///
 /// # Errors
 ///
@@ -59,14 +61,21 @@ pub fn refine<'a>(
     progress: &dyn Progress,
 ) -> Result<Refined, InstanceError> {
     settings.check()?;
-    let (frames, full) = (images.len(), images.first().map_or((0, 0), |image| image.size()));
+    let (frames, full) = (
+        images.len(),
+        images.first().map_or((0, 0), |image| image.size()),
+    );
     if frames == 0 || full.0.min(full.1) < LEAST_SIDE {
         return Err(InstanceError::Input(format!(
             "the clip has {frames} frames of {}x{} pixels; at least one frame of {LEAST_SIDE} px per side is needed",
             full.0, full.1
         )));
     }
-    if let Some((frame, image)) = images.iter().enumerate().find(|(_, image)| image.size() != full) {
+    if let Some((frame, image)) = images
+        .iter()
+        .enumerate()
+        .find(|(_, image)| image.size() != full)
+    {
         return Err(InstanceError::Input(format!(
             "frame {frame} is {}x{} where {}x{} was expected; all frames must have one size",
             image.width(),
@@ -78,7 +87,11 @@ pub fn refine<'a>(
     coarse.check(frames)?;
     let size = working_size(full.0, full.1, settings.side_px);
     let mut search = Search {
-        rough: CoarseMasks { coarse, size, settings },
+        rough: CoarseMasks {
+            coarse,
+            size,
+            settings,
+        },
         frames,
         session: open(size)?,
         things: BTreeMap::new(),
@@ -88,9 +101,22 @@ pub fn refine<'a>(
     };
     search.forwards()?;
     search.backwards()?;
-    let Search { rough, things, rejected, session, .. } = search;
+    let Search {
+        rough,
+        things,
+        rejected,
+        session,
+        ..
+    } = search;
     let bound = (!session.remembers()).then_some(CARRIED_BOUND);
-    finish(&rough, frames, (session.name(), bound), things, rejected, progress)
+    finish(
+        &rough,
+        frames,
+        (session.name(), bound),
+        things,
+        rejected,
+        progress,
+    )
 }
 
 struct Search<'a, 's> {
@@ -106,7 +132,9 @@ struct Search<'a, 's> {
 impl Search<'_, '_> {
     /// Frames at which new things are looked for.
     fn stops(&self) -> Vec<usize> {
-        (0..self.frames).step_by(self.rough.settings.every_frames).collect()
+        (0..self.frames)
+            .step_by(self.rough.settings.every_frames)
+            .collect()
     }
 
     fn forwards(&mut self) -> Result<(), InstanceError> {
@@ -140,17 +168,30 @@ impl Search<'_, '_> {
         }
         let later = to > from;
         let known = |thing: &&TrackedObject| {
-            let there = if later { thing.prompted <= from } else { thing.prompted >= from };
+            let there = if later {
+                thing.prompted <= from
+            } else {
+                thing.prompted >= from
+            };
             there && !thing.lost[usize::from(!later)]
         };
-        let objects: Vec<ObjectId> = self.things.values().filter(known).map(|t| t.object).collect();
+        let objects: Vec<ObjectId> = self
+            .things
+            .values()
+            .filter(known)
+            .map(|t| t.object)
+            .collect();
         if objects.is_empty() {
             return Ok(());
         }
         let (w, h) = self.rough.size;
         let most_px = (MOST_SHARE * (w * h) as f32) as usize;
         let (things, frames, progress) = (&mut self.things, self.frames, self.progress);
-        let way = if later { "tracking objects" } else { "tracking objects backwards" };
+        let way = if later {
+            "tracking objects"
+        } else {
+            "tracking objects backwards"
+        };
         let mut sink = |frame: usize, found: Vec<ObjectMask>| {
             for found in &found {
                 if let Some(thing) = things.get_mut(&found.object) {
@@ -168,7 +209,11 @@ impl Search<'_, '_> {
         let (w, h) = self.rough.size;
         let around = Around::of(&self.rough, frame, self.frames);
         let mut covered = vec![0u8; w * h];
-        for mask in self.things.values().filter_map(|thing| thing.masks.get(&frame)) {
+        for mask in self
+            .things
+            .values()
+            .filter_map(|thing| thing.masks.get(&frame))
+        {
             for (x, y) in mask.pixels() {
                 covered[y * w + x] = 255;
             }
@@ -188,8 +233,10 @@ impl Search<'_, '_> {
         if asked.is_empty() {
             return Ok(());
         }
-        let prompts: Vec<_> =
-            asked.iter().map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h))).collect();
+        let prompts: Vec<_> = asked
+            .iter()
+            .map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h)))
+            .collect();
         let found = self.session.prompt(frame, &prompts)?;
         for ((object, part), found) in asked.into_iter().zip(&found) {
             self.judge(frame, object, &part, found)?;
@@ -220,14 +267,22 @@ impl Search<'_, '_> {
             self.drop(frame, object, part, Rejection::Elsewhere { overlap });
             return Ok(());
         }
-        // Below this overlap the thing starts with the outline of the coarse part; maps of motion are too coarse to have one.
+        // Below this overlap the thing starts with the outline of the coarse part; maps of motion
+        // are too coarse to have one.
         let least = match self.rough.coarse {
             Coarse::Motion(_) => 0.0,
             Coarse::Masks(_) => dense::LEAST_OVERLAP,
         };
         let coarse_outline = overlap < least;
-        let outline = if coarse_outline { part.outline.clone() } else { outline };
-        let mut there = self.things.values().filter_map(|thing| thing.masks.get(&frame));
+        let outline = if coarse_outline {
+            part.outline.clone()
+        } else {
+            outline
+        };
+        let mut there = self
+            .things
+            .values()
+            .filter_map(|thing| thing.masks.get(&frame));
         if there.any(|mask| mask.overlap(&outline) > MERGE_OVERLAP) {
             self.drop(frame, object, part, Rejection::Duplicate);
             return Ok(());

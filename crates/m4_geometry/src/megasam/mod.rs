@@ -1,5 +1,5 @@
-//! MegaSaM's path from a video to cameras, depth and a map of static regions, with any source of correspondences, flow
-//! and depth from one image.
+//! MegaSaM's path from a video to cameras, depth and a map of static regions, with any source of
+//! correspondences, flow and depth from one image.
 //!
 //! ```text
 //! images --TrackingSize--> images of about 384 x 512 pixels
@@ -10,16 +10,18 @@
 //!   -> MegasamGeometry    in metres where the depth was
 //! ```
 //!
-//! Source: docs/spec/front-end.md 1; Li et al. 2025, "MegaSaM: Accurate, Fast, and Robust Structure and
-//! Motion from Casual Dynamic Videos", section 3. Networks are behind [`crate::megasam::tracker::Correspondence`] and [`PairFlow`], so that the
-//! same way can be gone with known flow.
+//! Source: docs/spec/front-end.md 1; Li et al. 2025, "MegaSaM: Accurate, Fast, and Robust Structure
+//! and Motion from Casual Dynamic Videos", section 3. Networks are behind
+//! [`crate::megasam::tracker::Correspondence`] and [`PairFlow`], so that the same way can be gone
+//! with known flow.
 //!
-//! **Conventions.** The library's outside: camera to world, principal point from the corner of the image, z-depth.
-//! A cell of the tracker's grid is the pixel at 8 times its column and row: there the features of a network that shrinks three
-//! times by two are. The published program takes blocks of 8 x 8 pixels for depth and for the map of static regions
-//! instead, half a block off.
+//! **Conventions.** The library's outside: camera to world, principal point from the corner of the
+//! image, z-depth. A cell of the tracker's grid is the pixel at 8 times its column and row: there
+//! the features of a network that shrinks three times by two are. The published program takes
+//! blocks of 8 x 8 pixels for depth and for the map of static regions instead, half a block off.
 //!
-//! **Unit.** The tracker works on disparities whose 98th percentile is 2; what comes out is back in the unit of the depth.
+//! **Unit.** The tracker works on disparities whose 98th percentile is 2; what comes out is back in
+//! the unit of the depth.
 
 pub mod cvd;
 pub mod graph;
@@ -37,31 +39,34 @@ pub use reconstruct::{MegasamGeometry, MegasamInput, PairFlow, reconstruct, trac
 use serde::{Deserialize, Serialize};
 use tracker::{TrackerError, TrackerSettings};
 
-/// Share of motion (1 - static confidence) above which a pixel counts as dynamic. 0.7: the paper's tau.
+/// Share of motion (1 - static confidence) above which a pixel counts as dynamic. 0.7: the paper's
+/// tau.
 pub const TAU_MOTION: f64 = 0.7;
 
 /// Settings of [`reconstruct()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MegasamSettings {
-    /// Pixels of the images that are tracked. `384 * 512`: MegaSaM (docs/spec/front-end.md 1.1). The cost is proportional. For callers in Rust.
+    /// Pixels of the images that are tracked. `384 * 512`: MegaSaM (docs/spec/front-end.md 1.1).
+    /// The cost is proportional. For callers in Rust.
     #[serde(skip)]
     pub tracking_pixels: f64,
     /// Of the tracker. docs/spec/front-end.md 1.5. For callers in Rust.
     #[serde(skip)]
     pub tracker: TrackerSettings,
-    /// Adam steps of both stages of consistent video depth. docs/spec/front-end.md 1.7. For callers in Rust.
+    /// Adam steps of both stages of consistent video depth. docs/spec/front-end.md 1.7. For callers
+    /// in Rust.
     #[serde(skip)]
     pub cvd_steps: [usize; 2],
     /// Iterations of a recurrent network of flow. 22: MegaSaM.
     pub flow_iterations: usize,
     /// Megabytes of flow that stay in memory; the rest is on disk. 1,000: ours.
     pub flow_budget_mb: usize,
-    /// Megabytes of the tracking network's features and states that stay in memory; the rest is on disk. 2,000: ours; a clip of
-    /// 100 frames of 854 x 480 pixels has 1,500.
+    /// Megabytes of the tracking network's features and states that stay in memory; the rest is on
+    /// disk. 2,000: ours; a clip of 100 frames of 854 x 480 pixels has 1,500.
     pub memory_budget_mb: usize,
-    /// Field of view where neither the user nor the depth knows one, degrees across. 60: ours, the main camera of common
-    /// phones.
+    /// Field of view where neither the user nor the depth knows one, degrees across. 60: ours, the
+    /// main camera of common phones.
     pub default_fov_deg: f64,
 }
 
@@ -114,7 +119,9 @@ impl MegasamError {
     pub fn is_stop(&self) -> bool {
         matches!(
             self,
-            Self::Cancelled | Self::Tracker(TrackerError::Cancelled) | Self::Depth(CvdError::Cancelled { .. })
+            Self::Cancelled
+                | Self::Tracker(TrackerError::Cancelled)
+                | Self::Depth(CvdError::Cancelled { .. })
         )
     }
 }
@@ -122,8 +129,8 @@ impl MegasamError {
 /// Pixels of a cell of the grid, a side.
 const CELL_PX: usize = 8;
 
-/// How images become smaller ones: to a fixed number of pixels, then cut to multiples of 8 at the right and at the bottom
-/// (docs/spec/front-end.md 1.1). Sizes are `(width, height)`.
+/// How images become smaller ones: to a fixed number of pixels, then cut to multiples of 8 at the
+/// right and at the bottom (docs/spec/front-end.md 1.1). Sizes are `(width, height)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct TrackingSize {
     /// Of the images.
@@ -139,10 +146,14 @@ impl TrackingSize {
     ///
     /// # Errors
     ///
-    /// [`MegasamError::Input`] if less than one cell a side would be left, or the numbers are no size.
+    /// [`MegasamError::Input`] if less than one cell a side would be left, or the numbers are no
+    /// size.
     pub fn new(full: (usize, usize), pixels: f64) -> Result<Self, MegasamError> {
         let scale = (pixels / (full.0 as f64 * full.1 as f64)).sqrt();
-        let scaled = ((full.0 as f64 * scale) as usize, (full.1 as f64 * scale) as usize);
+        let scaled = (
+            (full.0 as f64 * scale) as usize,
+            (full.1 as f64 * scale) as usize,
+        );
         let cropped = (scaled.0 / CELL_PX * CELL_PX, scaled.1 / CELL_PX * CELL_PX);
         if !(pixels.is_finite() && pixels <= 1e8) || cropped.0 == 0 || cropped.1 == 0 {
             return Err(MegasamError::Input(format!(
@@ -150,19 +161,29 @@ impl TrackingSize {
                 full.0, full.1
             )));
         }
-        Ok(Self { full, scaled, cropped })
+        Ok(Self {
+            full,
+            scaled,
+            cropped,
+        })
     }
 
     /// The tracker's grid.
     #[must_use]
     pub fn grid(&self) -> Grid {
-        Grid { width: self.cropped.0 / CELL_PX, height: self.cropped.1 / CELL_PX }
+        Grid {
+            width: self.cropped.0 / CELL_PX,
+            height: self.cropped.1 / CELL_PX,
+        }
     }
 
     /// An image at the size of tracking, by areas.
     #[must_use]
     pub fn resized(&self, full: &RgbImage) -> RgbImage {
-        crop(&resize_area(full, self.scaled.0, self.scaled.1), self.cropped)
+        crop(
+            &resize_area(full, self.scaled.0, self.scaled.1),
+            self.cropped,
+        )
     }
 
     /// A lens of the full images as one of the grid.
@@ -172,7 +193,8 @@ impl TrackingSize {
         Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, CELL_PX as f64)
     }
 
-    /// The lens of the full images whose focal length on the grid is that of `grid`; the principal point is that of `full`.
+    /// The lens of the full images whose focal length on the grid is that of `grid`; the principal
+    /// point is that of `full`.
     #[must_use]
     pub fn full_lens(&self, full: &Intrinsics, grid: &Pinhole<f64>) -> Intrinsics {
         let cell = CELL_PX as f64;
@@ -186,17 +208,32 @@ impl TrackingSize {
     /// A lens of the full images as one of the cropped ones.
     #[must_use]
     pub fn cropped_lens(&self, full: &Intrinsics) -> Intrinsics {
-        Intrinsics { width: self.cropped.0, height: self.cropped.1, ..full.resized(self.scaled.0, self.scaled.1) }
+        Intrinsics {
+            width: self.cropped.0,
+            height: self.cropped.1,
+            ..full.resized(self.scaled.0, self.scaled.1)
+        }
     }
 }
 
-/// A plane on the tracker's grid, whose cell `i` is pixel `8 i` of the images that are tracked, at `width` x `height` pixels
-/// that cover `covered` pixels of those from the upper left corner; constant beyond the outer cells.
-fn from_grid(grid: &Plane<f32>, width: usize, height: usize, covered: (usize, usize)) -> Plane<f32> {
-    let (sx, sy) = (covered.0 as f32 / width as f32, covered.1 as f32 / height as f32);
+/// A plane on the tracker's grid, whose cell `i` is pixel `8 i` of the images that are tracked, at
+/// `width` x `height` pixels that cover `covered` pixels of those from the upper left corner;
+/// constant beyond the outer cells.
+fn from_grid(
+    grid: &Plane<f32>,
+    width: usize,
+    height: usize,
+    covered: (usize, usize),
+) -> Plane<f32> {
+    let (sx, sy) = (
+        covered.0 as f32 / width as f32,
+        covered.1 as f32 / height as f32,
+    );
     // The middle of pixel i is (i + 0.5) scale from the corner.
     let cell = |i: usize, scale: f32| ((i as f32 + 0.5) * scale - 0.5) / CELL_PX as f32;
-    Plane::from_fn(width, height, |x, y| bilinear(grid, cell(x, sx), cell(y, sy)))
+    Plane::from_fn(width, height, |x, y| {
+        bilinear(grid, cell(x, sx), cell(y, sy))
+    })
 }
 
 #[cfg(test)]

@@ -1,11 +1,13 @@
-//! Depth from one image as the tracker takes it: one disparity map per frame, one scale for the clip; relative disparity of one
-//! network aligned to metric depth of another (stage B0, docs/spec/front-end.md 1.2).
+//! Depth from one image as the tracker takes it: one disparity map per frame, one scale for the
+//! clip; relative disparity of one network aligned to metric depth of another (stage B0,
+//! docs/spec/front-end.md 1.2).
 
 use super::{CELL_PX, MegasamError, TrackingSize};
 use crate::resample::{crop, resize_bilinear, resize_nearest};
 use m4_core::Plane;
 
-/// Disparity in scene units below which a pixel counts as infinitely far: its depth would be clamped.
+/// Disparity in scene units below which a pixel counts as infinitely far: its depth would be
+/// clamped.
 const LEAST_DISPARITY: f32 = 1e-4;
 /// Least depth in scene units that counts as known.
 const LEAST_DEPTH: f32 = 0.01;
@@ -24,16 +26,17 @@ pub enum PriorKind {
 pub struct DepthPrior {
     /// What the unit is.
     pub kind: PriorKind,
-    /// Scene units a unit of the depth: metres times this are scene units. MegaSaM divides by it and forgets it.
+    /// Scene units a unit of the depth: metres times this are scene units. MegaSaM divides by it
+    /// and forgets it.
     pub norm: f64,
     /// `[frames]` of the cropped size; 0 where nothing is known.
     disparity: Vec<Plane<f32>>,
 }
 
 impl DepthPrior {
-    /// Relative disparity (up to one scale and shift for the clip, 0 or more) aligned to metric depth, metres (not finite or 0
-    /// where unknown, which counts as infinitely far): MegaSaM's own. The relative maps are brought to the size of the metric
-    /// ones.
+    /// Relative disparity (up to one scale and shift for the clip, 0 or more) aligned to metric
+    /// depth, metres (not finite or 0 where unknown, which counts as infinitely far): MegaSaM's
+    /// own. The relative maps are brought to the size of the metric ones.
     ///
     /// # Errors
     ///
@@ -55,11 +58,17 @@ impl DepthPrior {
             relative.iter().map(|r| r.data().to_vec()).collect()
         };
         let far = |z: &f32| if z.is_finite() && *z > 0.0 { *z } else { 1e8 };
-        let metric: Vec<Vec<f32>> = metric_m.iter().map(|m| m.data().iter().map(far).collect()).collect();
+        let metric: Vec<Vec<f32>> = metric_m
+            .iter()
+            .map(|m| m.data().iter().map(far).collect())
+            .collect();
         let alignment = MonoAlignment::new(&metric, &relative)?;
         let disparity = relative.iter().zip(metric_m).map(|(relative, metric)| {
             let depth = alignment.sensor_depth(relative);
-            let disparity = depth.iter().map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 }).collect();
+            let disparity = depth
+                .iter()
+                .map(|&z| if z > 0.0 { 1.0 / z } else { 0.0 })
+                .collect();
             let plane = Plane::from_vec(metric.width(), metric.height(), disparity);
             plane.map(|plane| at_tracking(&plane, size))
         });
@@ -78,7 +87,13 @@ impl DepthPrior {
     ///
     /// [`MegasamError`] for no maps, empty maps, or maps in which nothing is known.
     pub fn metric(depth_m: &[Plane<f32>], size: &TrackingSize) -> Result<Self, MegasamError> {
-        let inverse = |z: &f32| if z.is_finite() && *z > 0.0 { 1.0 / z } else { 0.0 };
+        let inverse = |z: &f32| {
+            if z.is_finite() && *z > 0.0 {
+                1.0 / z
+            } else {
+                0.0
+            }
+        };
         let disparity: Vec<Plane<f32>> = depth_m.iter().map(|plane| plane.map(inverse)).collect();
         Self::of_disparity(PriorKind::Metric, &disparity, size)
     }
@@ -92,24 +107,43 @@ impl DepthPrior {
         Self::of_disparity(PriorKind::Relative, disparity, size)
     }
 
-    fn of_disparity(kind: PriorKind, disparity: &[Plane<f32>], size: &TrackingSize) -> Result<Self, MegasamError> {
+    fn of_disparity(
+        kind: PriorKind,
+        disparity: &[Plane<f32>],
+        size: &TrackingSize,
+    ) -> Result<Self, MegasamError> {
         pixels(disparity)?;
         let known = |d: &&f32| d.is_finite() && **d > 0.0;
-        let mut all: Vec<f64> =
-            disparity.iter().flat_map(|plane| plane.data()).filter(known).map(|&d| f64::from(d)).collect();
-        let norm = if all.is_empty() { 0.0 } else { percentile(&mut all, 0.98) / 2.0 };
+        let mut all: Vec<f64> = disparity
+            .iter()
+            .flat_map(|plane| plane.data())
+            .filter(known)
+            .map(|&d| f64::from(d))
+            .collect();
+        let norm = if all.is_empty() {
+            0.0
+        } else {
+            percentile(&mut all, 0.98) / 2.0
+        };
         if !(norm > 0.0 && norm.is_finite()) {
             return Err(no_scale(norm));
         }
         let scaled = |d: &f32| {
             let d = (f64::from(*d) / norm) as f32;
             let near = d > 1.0 / LEAST_DEPTH;
-            if !d.is_finite() || d <= 0.0 || near { 0.0 } else { d.max(LEAST_DISPARITY) }
+            if !d.is_finite() || d <= 0.0 || near {
+                0.0
+            } else {
+                d.max(LEAST_DISPARITY)
+            }
         };
         Ok(Self {
             kind,
             norm,
-            disparity: disparity.iter().map(|plane| at_tracking(&plane.map(scaled), size)).collect(),
+            disparity: disparity
+                .iter()
+                .map(|plane| at_tracking(&plane.map(scaled), size))
+                .collect(),
         })
     }
 
@@ -125,8 +159,8 @@ impl DepthPrior {
         &self.disparity[frame]
     }
 
-    /// The same on the tracker's grid, `[height * width]`: one over the mean known depth of the 8 x 8 pixels around a
-    /// cell's pixel.
+    /// The same on the tracker's grid, `[height * width]`: one over the mean known depth of the 8 x
+    /// 8 pixels around a cell's pixel.
     #[must_use]
     pub fn sensor(&self, frame: usize) -> Vec<f32> {
         let plane = &self.disparity[frame];
@@ -143,12 +177,17 @@ impl DepthPrior {
                     }
                 }
             }
-            if depth > 0.0 { count as f32 / depth } else { 0.0 }
+            if depth > 0.0 {
+                count as f32 / depth
+            } else {
+                0.0
+            }
         };
         (0..columns * rows).map(cell).collect()
     }
 
-    /// The same at half the size, bilinear; `1e-3` where unknown, as far away as the tracker takes it.
+    /// The same at half the size, bilinear; `1e-3` where unknown, as far away as the tracker takes
+    /// it.
     #[must_use]
     pub(super) fn halved(&self, frame: usize) -> Plane<f32> {
         let plane = &self.disparity[frame];
@@ -158,11 +197,16 @@ impl DepthPrior {
 }
 
 fn at_tracking(plane: &Plane<f32>, size: &TrackingSize) -> Plane<f32> {
-    crop(&resize_nearest(plane, size.scaled.0, size.scaled.1), size.cropped)
+    crop(
+        &resize_nearest(plane, size.scaled.0, size.scaled.1),
+        size.cropped,
+    )
 }
 
 fn no_pixels(frame: usize) -> MegasamError {
-    MegasamError::Input(format!("the depth of image {frame} has no pixels; give a map of the shape of the image"))
+    MegasamError::Input(format!(
+        "the depth of image {frame} has no pixels; give a map of the shape of the image"
+    ))
 }
 
 fn pixels(planes: &[Plane<f32>]) -> Result<(), MegasamError> {
@@ -172,7 +216,8 @@ fn pixels(planes: &[Plane<f32>]) -> Result<(), MegasamError> {
     }
 }
 
-/// Metric depths below this with hardly any relative disparity are taken for sky that was misjudged.
+/// Metric depths below this with hardly any relative disparity are taken for sky that was
+/// misjudged.
 const SKY_DEPTH_M: f64 = 2.0;
 
 /// Relative disparity below which they are.
@@ -200,7 +245,8 @@ pub struct MonoAlignment {
     pub shifts: Vec<f64>,
     /// The frame whose scale and shift all frames get.
     pub index: usize,
-    /// Disparity of near content, 1/m, over two: divides disparities, and multiplies metres into scene units.
+    /// Disparity of near content, 1/m, over two: divides disparities, and multiplies metres into
+    /// scene units.
     pub norm: f64,
 }
 
@@ -240,12 +286,21 @@ impl MonoAlignment {
             }
         }
         let (scale, shift) = (scales[index], shifts[index]);
-        let mut all: Vec<f64> = relative.iter().flatten().map(|&a| scale * f64::from(a) + shift).collect();
+        let mut all: Vec<f64> = relative
+            .iter()
+            .flatten()
+            .map(|&a| scale * f64::from(a) + shift)
+            .collect();
         let norm = percentile(&mut all, 0.98) / 2.0;
         if !(norm > 0.0 && norm.is_finite()) {
             return Err(no_scale(norm));
         }
-        Ok(Self { scales, shifts, index, norm })
+        Ok(Self {
+            scales,
+            shifts,
+            index,
+            norm,
+        })
     }
 
     /// Depth in scene units of relative disparities, 0 where it is unknown.
@@ -253,7 +308,13 @@ impl MonoAlignment {
     pub fn sensor_depth(&self, relative: &[f32]) -> Vec<f32> {
         let (scale, shift) = (self.scales[self.index], self.shifts[self.index]);
         let depth = |a: f32| (self.norm / (scale * f64::from(a) + shift)).clamp(1e-4, 1e4);
-        let known = |d: f64| if d < LEAST_SENSOR_DEPTH { 0.0 } else { d as f32 };
+        let known = |d: f64| {
+            if d < LEAST_SENSOR_DEPTH {
+                0.0
+            } else {
+                d as f32
+            }
+        };
         relative.iter().map(|&a| known(depth(a))).collect()
     }
 }
@@ -266,11 +327,19 @@ fn frame_alignment(metric_m: &[f32], relative: &[f32]) -> (f64, f64) {
         .zip(&a)
         .map(|(&m, &a)| {
             let m = f64::from(m);
-            if m < SKY_DEPTH_M && a < SKY_DISPARITY { SKY_METRIC } else { 1.0 / (m + 1e-8) }
+            if m < SKY_DEPTH_M && a < SKY_DISPARITY {
+                SKY_METRIC
+            } else {
+                1.0 / (m + 1e-8)
+            }
         })
         .collect();
     let (ga, gg) = (median(&mut a.clone()), median(&mut g.clone()));
-    let mut ratios: Vec<f64> = g.iter().zip(&a).map(|(g, a)| (g - gg + 1e-8) / (a - ga + 1e-8)).collect();
+    let mut ratios: Vec<f64> = g
+        .iter()
+        .zip(&a)
+        .map(|(g, a)| (g - gg + 1e-8) / (a - ga + 1e-8))
+        .collect();
     let scale = median(&mut ratios);
     let mut rest: Vec<f64> = g.iter().zip(&a).map(|(g, a)| g - scale * a).collect();
     (scale, median(&mut rest))
@@ -304,8 +373,9 @@ mod tests {
 
     #[test]
     fn metres_become_disparities_of_two_where_things_are_near() {
-        let depth: Vec<_> =
-            (0..3).map(|_| Plane::from_fn(32, 24, |x, _| if x == 0 { 0.0 } else { 1.0 + x as f32 })).collect();
+        let depth: Vec<_> = (0..3)
+            .map(|_| Plane::from_fn(32, 24, |x, _| if x == 0 { 0.0 } else { 1.0 + x as f32 }))
+            .collect();
         let prior = DepthPrior::metric(&depth, &size()).unwrap();
         assert_eq!((prior.kind, prior.frames()), (PriorKind::Metric, 3));
         let plane = prior.disparity(1);
@@ -320,15 +390,25 @@ mod tests {
         assert!((all[all.len() * 97 / 100] - 2.0).abs() < 1e-4);
         let grid = prior.sensor(1);
         assert_eq!(grid.len(), 8 * 6);
-        // Cell 3 is pixel 24, the left of the two pixels of column 12: around it are columns 10 to 13.
+        // Cell 3 is pixel 24, the left of the two pixels of column 12: around it are columns 10 to
+        // 13.
         let want = (11.0 + 12.0 + 13.0 + 14.0) / 4.0 * prior.norm;
-        assert!((1.0 / f64::from(grid[3]) / want - 1.0).abs() < 1e-5, "{} {want}", 1.0 / grid[3]);
+        assert!(
+            (1.0 / f64::from(grid[3]) / want - 1.0).abs() < 1e-5,
+            "{} {want}",
+            1.0 / grid[3]
+        );
     }
 
     #[test]
     fn relative_disparity_takes_scale_and_shift_of_metres() {
-        let metric: Vec<_> = (0..2).map(|_| Plane::from_fn(32, 24, |x, y| 1.5 + 0.1 * (x + y) as f32)).collect();
-        let relative: Vec<_> = metric.iter().map(|m| m.map(|z| 5.0 * (1.0 / z - 0.1))).collect();
+        let metric: Vec<_> = (0..2)
+            .map(|_| Plane::from_fn(32, 24, |x, y| 1.5 + 0.1 * (x + y) as f32))
+            .collect();
+        let relative: Vec<_> = metric
+            .iter()
+            .map(|m| m.map(|z| 5.0 * (1.0 / z - 0.1)))
+            .collect();
         let prior = DepthPrior::aligned(&metric, &relative, &size()).unwrap();
         let z = 1.0 / f64::from(prior.disparity(0).row(20)[30]) / prior.norm;
         assert!((z - (1.5 + 0.1 * 25.0)).abs() < 0.01, "{z}");

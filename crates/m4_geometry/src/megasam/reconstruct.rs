@@ -3,7 +3,9 @@
 use super::cvd::pairs::{FramePair, PairStore, consistency_mask, halved, pair_list};
 use super::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use super::tracker::{Clip, Correspondence, FrameInput, Tracked};
-use super::{CELL_PX, DepthPrior, MegasamError, MegasamSettings, PriorKind, TrackingSize, from_grid, tracker};
+use super::{
+    CELL_PX, DepthPrior, MegasamError, MegasamSettings, PriorKind, TrackingSize, from_grid, tracker,
+};
 use crate::classical::dense::SourceError;
 use crate::dba::Observability;
 use crate::flow::{InverseSearch, ScaledFrame};
@@ -37,7 +39,8 @@ pub struct MegasamGeometry {
     pub lens: Intrinsics,
     /// Camera to world, in the unit of [`metric`](Self::metric).
     pub c2w: Vec<Se3<f64>>,
-    /// z-depth of the whole images, at the size before cutting ([`TrackingSize::scaled`]); what was cut has that of the edge.
+    /// z-depth of the whole images, at the size before cutting ([`TrackingSize::scaled`]); what was
+    /// cut has that of the edge.
     pub depth: Vec<Plane<f32>>,
     /// Probability that each cell of the tracker's grid is static, 0..=1.
     pub static_confidence: Vec<Plane<f32>>,
@@ -59,7 +62,12 @@ impl MegasamGeometry {
     /// How likely each pixel of a whole image is static, 0..=1, at `width` x `height` pixels.
     #[must_use]
     pub fn static_at(&self, frame: usize, width: usize, height: usize) -> Plane<f32> {
-        from_grid(&self.static_confidence[frame], width, height, self.size.scaled)
+        from_grid(
+            &self.static_confidence[frame],
+            width,
+            height,
+            self.size.scaled,
+        )
     }
 }
 
@@ -69,7 +77,8 @@ impl MegasamGeometry {
 ///
 /// # Errors
 ///
-/// [`MegasamError`] for images that do not fit together or are too few, where the source fails, or when the user stops.
+/// [`MegasamError`] for images that do not fit together or are too few, where the source fails, or
+/// when the user stops.
 pub fn track(
     input: &MegasamInput<'_>,
     correspondence: &mut dyn Correspondence,
@@ -83,23 +92,33 @@ pub fn track(
         Some(prior) => prior.sensor(frame),
         None => vec![0.0; grid.len()],
     };
-    let inputs: Vec<FrameInput> =
-        (0..frames).map(|frame| FrameInput { frame, time_s: input.times_s[frame], sensor: sensor(frame) }).collect();
-    let clip = Clip { grid, lens: size.grid_lens(&input.lens), frames: &inputs };
+    let inputs: Vec<FrameInput> = (0..frames)
+        .map(|frame| FrameInput {
+            frame,
+            time_s: input.times_s[frame],
+            sensor: sensor(frame),
+        })
+        .collect();
+    let clip = Clip {
+        grid,
+        lens: size.grid_lens(&input.lens),
+        frames: &inputs,
+    };
     let mut tracker = settings.tracker;
     tracker.optimise_focal &= input.focal_is_free;
     Ok(tracker::track(&clip, correspondence, &tracker, progress)?)
 }
 
-/// Makes the depth of a tracked clip consistent along the flow, and returns it with cameras and static confidence in the unit of
-/// the depth (MegaSaM 3.3).
+/// Makes the depth of a tracked clip consistent along the flow, and returns it with cameras and
+/// static confidence in the unit of the depth (MegaSaM 3.3).
 ///
-/// `flow` sees images of [`TrackingSize::resized`]. Without a prior, depth starts as what the tracker found, and its unit is
-/// arbitrary.
+/// `flow` sees images of [`TrackingSize::resized`]. Without a prior, depth starts as what the
+/// tracker found, and its unit is arbitrary.
 ///
 /// # Errors
 ///
-/// [`MegasamError`] for images that do not fit together, where the source of flow fails, or when the user stops.
+/// [`MegasamError`] for images that do not fit together, where the source of flow fails, or when
+/// the user stops.
 pub fn reconstruct(
     input: &MegasamInput<'_>,
     tracked: Tracked,
@@ -114,19 +133,33 @@ pub fn reconstruct(
 
     let image_of = |frame: usize| size.resized(input.images[frame]);
     let budget_bytes = settings.flow_budget_mb.saturating_mul(1_000_000);
-    let pairs = measure(frames, &image_of, size.cropped, flow, budget_bytes, progress)?;
+    let pairs = measure(
+        frames,
+        &image_of,
+        size.cropped,
+        flow,
+        budget_bytes,
+        progress,
+    )?;
     let (width, height) = (size.cropped.0 / 2, size.cropped.1 / 2);
-    let on_grid = |values: &Vec<f32>| Plane::from_fn(grid.width, grid.height, |x, y| values[y * grid.width + x]);
-    let on_half = |plane: &Plane<f32>| -> Plane<f32> { from_grid(plane, width, height, size.cropped) };
+    let on_grid = |values: &Vec<f32>| {
+        Plane::from_fn(grid.width, grid.height, |x, y| values[y * grid.width + x])
+    };
+    let on_half =
+        |plane: &Plane<f32>| -> Plane<f32> { from_grid(plane, width, height, size.cropped) };
     let disparity: Vec<Plane<f32>> = (0..frames)
         .map(|frame| match input.prior {
             Some(prior) => prior.halved(frame),
-            None => on_half(&on_grid(&tracked.geometry.disparity[frame])).map(|&d| d.max(LEAST_DISPARITY)),
+            None => on_half(&on_grid(&tracked.geometry.disparity[frame]))
+                .map(|&d| d.max(LEAST_DISPARITY)),
         })
         .collect();
-    let static_confidence: Vec<Plane<f32>> = tracked.static_confidence.iter().map(on_grid).collect();
-    let uncertainty: Vec<Plane<f32>> =
-        static_confidence.iter().map(|plane| on_half(plane).map(|&m| uncertainty_of_static(m))).collect();
+    let static_confidence: Vec<Plane<f32>> =
+        tracked.static_confidence.iter().map(on_grid).collect();
+    let uncertainty: Vec<Plane<f32>> = static_confidence
+        .iter()
+        .map(|plane| on_half(plane).map(|&m| uncertainty_of_static(m)))
+        .collect();
     let c2w = tracked.c2w();
     let consistent = optimise(
         &CvdInput {
@@ -139,7 +172,14 @@ pub fn reconstruct(
         settings.cvd_steps,
         progress,
     )?;
-    Ok(finish(input, size, lens, tracked, static_confidence, consistent))
+    Ok(finish(
+        input,
+        size,
+        lens,
+        tracked,
+        static_confidence,
+        consistent,
+    ))
 }
 
 /// Back to the unit of the depth.
@@ -152,7 +192,9 @@ fn finish(
     consistent: ConsistentDepth,
 ) -> MegasamGeometry {
     let norm = input.prior.map_or(1.0, |prior| prior.norm);
-    let metric = input.prior.is_some_and(|prior| prior.kind == PriorKind::Metric);
+    let metric = input
+        .prior
+        .is_some_and(|prior| prior.kind == PriorKind::Metric);
     // Relative depth has no unit worth going back to.
     let unit = if metric { norm } else { 1.0 };
     let c2w = tracked.c2w().into_iter().map(|mut pose| {
@@ -163,7 +205,9 @@ fn finish(
         let cropped = resize_bilinear(half, size.cropped.0, size.cropped.1);
         let z = |d: f32| (1.0 / (f64::from(d) * unit)) as f32;
         let (right, bottom) = (size.cropped.0 - 1, size.cropped.1 - 1);
-        Plane::from_fn(size.scaled.0, size.scaled.1, |x, y| z(cropped.row(y.min(bottom))[x.min(right)]))
+        Plane::from_fn(size.scaled.0, size.scaled.1, |x, y| {
+            z(cropped.row(y.min(bottom))[x.min(right)])
+        })
     });
     MegasamGeometry {
         size,
@@ -180,7 +224,10 @@ fn finish(
     }
 }
 
-fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<TrackingSize, MegasamError> {
+fn check(
+    input: &MegasamInput<'_>,
+    settings: &MegasamSettings,
+) -> Result<TrackingSize, MegasamError> {
     let expected = input.images.len();
     let full = input.images.first().map_or((0, 0), |p| p.size());
     let refused = |what: String| Err(MegasamError::Input(what));
@@ -193,7 +240,13 @@ fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<Trackin
     if let Some(frame) = input.images.iter().position(|p| p.size() != full) {
         return other_size(frame, input.images[frame].size(), full);
     }
-    let lists = [("instants", input.times_s.len()), ("depth maps", input.prior.map_or(expected, DepthPrior::frames))];
+    let lists = [
+        ("instants", input.times_s.len()),
+        (
+            "depth maps",
+            input.prior.map_or(expected, DepthPrior::frames),
+        ),
+    ];
     for (what, found) in lists {
         if found != expected {
             return refused(format!(
@@ -209,14 +262,20 @@ fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<Trackin
     }
 }
 
-/// Measures flow between two frames of a clip. Pairs are asked for by step and then by source ([`pair_list`]), so that a
-/// network can begin with what it found for a shorter step.
+/// Measures flow between two frames of a clip. Pairs are asked for by step and then by source
+/// ([`pair_list`]), so that a network can begin with what it found for a shorter step.
 pub trait PairFlow {
     /// For records and messages.
     fn name(&self) -> &str;
 
-    /// The flow of `pair` and that back, of the size of the images `a` (of the source) and `b`; fails where it cannot be had.
-    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], SourceError>;
+    /// The flow of `pair` and that back, of the size of the images `a` (of the source) and `b`;
+    /// fails where it cannot be had.
+    fn both(
+        &mut self,
+        pair: FramePair,
+        a: &RgbImage,
+        b: &RgbImage,
+    ) -> Result<[Flow; 2], SourceError>;
 }
 
 /// Looks at each pair anew.
@@ -234,8 +293,8 @@ impl PairFlow for InverseSearch {
 
 const PHASE: &str = "flow between frames";
 
-/// The flow of every pair at half the size of the images, with the pixels that return to where they started; `budget_bytes`
-/// of it stay in memory.
+/// The flow of every pair at half the size of the images, with the pixels that return to where they
+/// started; `budget_bytes` of it stay in memory.
 ///
 /// # Errors
 ///
@@ -262,8 +321,10 @@ pub(super) fn measure(
         };
         let b = image_of(pair.target);
         let both = flow.both(pair, &a, &b);
-        let [there, back] =
-            both.map_err(|source| MegasamError::Flow { between: (pair.source, pair.target), source })?;
+        let [there, back] = both.map_err(|source| MegasamError::Flow {
+            between: (pair.source, pair.target),
+            source,
+        })?;
         let [there, back] = [there, back].map(|flow| halved(&flow));
         let mask = consistency_mask(&there, &back);
         store.push(pair, &there, &mask)?;

@@ -1,5 +1,5 @@
-//! A capture whose frames are looked at one at a time, and what is kept of it while points are followed: flow and depth of the pixels
-//! that move, and nothing of the others.
+//! A capture whose frames are looked at one at a time, and what is kept of it while points are
+//! followed: flow and depth of the pixels that move, and nothing of the others.
 
 use super::TrackError;
 use crate::flow::{FlowPair, ScaledFrame};
@@ -19,8 +19,9 @@ pub struct PosedFrame {
     pub camera: Camera,
 }
 
-/// A capture as a clip: images, depth and masks at one size. Frames are brought to it when they are looked at, several at once from
-/// different threads, and again when they are looked at again, so that a long clip is not in memory twice.
+/// A capture as a clip: images, depth and masks at one size. Frames are brought to it when they are
+/// looked at, several at once from different threads, and again when they are looked at again, so
+/// that a long clip is not in memory twice.
 #[derive(Debug, Clone, Copy)]
 pub struct CaptureClip<'a> {
     capture: &'a Capture,
@@ -28,12 +29,16 @@ pub struct CaptureClip<'a> {
 }
 
 impl<'a> CaptureClip<'a> {
-    /// The frames of `capture` with their longest side at most `side_px`: images are shrunk by the mean of their pixels, depth and masks
-    /// read at the nearest. A frame without depth or mask has none of it, and is not followed through.
+    /// The frames of `capture` with their longest side at most `side_px`: images are shrunk by the
+    /// mean of their pixels, depth and masks read at the nearest. A frame without depth or mask has
+    /// none of it, and is not followed through.
     #[must_use]
     pub fn new(capture: &'a Capture, side_px: usize) -> Self {
         let (w, h) = capture.frames.first().map_or((0, 0), |f| f.rgb.size());
-        Self { capture, size: working_size(w, h, side_px.max(2)) }
+        Self {
+            capture,
+            size: working_size(w, h, side_px.max(2)),
+        }
     }
 
     /// Width and height at which frames are read.
@@ -51,24 +56,49 @@ impl<'a> CaptureClip<'a> {
     ///
     /// # Errors
     ///
-    /// [`TrackError::Frame`] for images too small to follow anything, and cameras that are not finite.
+    /// [`TrackError::Frame`] for images too small to follow anything, and cameras that are not
+    /// finite.
     pub fn read(&self, index: usize) -> Result<PosedFrame, TrackError> {
         let frame = &self.capture.frames[index];
-        let refused = |reason| Err(TrackError::Frame { frame: index, reason });
+        let refused = |reason| {
+            Err(TrackError::Frame {
+                frame: index,
+                reason,
+            })
+        };
         let (w, h) = self.size;
         if frame.rgb.width() < w || frame.rgb.height() < h || w.min(h) < 2 {
             return refused("it is smaller than the first frame, or than 2 pixels");
         }
         let camera = frame.camera.resized(w, h);
         let (k, pose) = (&camera.intrinsics, &camera.c2w);
-        let numbers = pose.rotation.iter().chain(&pose.translation).chain([&k.cx, &k.cy, &k.fx, &k.fy]);
+        let numbers = pose
+            .rotation
+            .iter()
+            .chain(&pose.translation)
+            .chain([&k.cx, &k.cy, &k.fx, &k.fy]);
         if !numbers.into_iter().all(|v| v.is_finite()) || k.fx <= 0.0 || k.fy <= 0.0 {
             return refused("its camera is not finite, or has a focal length of 0 or less");
         }
-        let depth = Plane::from_fn(w, h, |x, y| frame.depth.as_ref().map_or(0.0, |d| d.covering((x, y), (w, h))));
-        let inside = |x, y| frame.mask.as_ref().is_some_and(|m| m.covers((x, y), (w, h)));
+        let depth = Plane::from_fn(w, h, |x, y| {
+            frame
+                .depth
+                .as_ref()
+                .map_or(0.0, |d| d.covering((x, y), (w, h)))
+        });
+        let inside = |x, y| {
+            frame
+                .mask
+                .as_ref()
+                .is_some_and(|m| m.covers((x, y), (w, h)))
+        };
         let moving = Plane::from_fn(w, h, |x, y| if inside(x, y) { 255 } else { 0 });
-        Ok(PosedFrame { rgb: resize_area(&frame.rgb, w, h), depth, moving, camera })
+        Ok(PosedFrame {
+            rgb: resize_area(&frame.rgb, w, h),
+            depth,
+            moving,
+            camera,
+        })
     }
 }
 
@@ -84,7 +114,11 @@ pub(crate) struct Sparse<T> {
 impl<T: Copy> Sparse<T> {
     /// The pixels that `value(pixel index)` knows.
     pub fn new(width: usize, height: usize, value: impl Fn(usize) -> Option<T>) -> Self {
-        let mut out = Self { rows: vec![0], columns: Vec::new(), values: Vec::new() };
+        let mut out = Self {
+            rows: vec![0],
+            columns: Vec::new(),
+            values: Vec::new(),
+        };
         for y in 0..height {
             for x in 0..width {
                 if let Some(v) = value(y * width + x) {
@@ -126,15 +160,23 @@ pub(crate) struct Strip {
 pub(super) fn moving(frame: &PosedFrame) -> Sparse<f32> {
     let (w, h) = frame.rgb.size();
     let (depth, mask) = (frame.depth.data(), frame.moving.data());
-    Sparse::new(w, h, |i| (mask[i] > 0 && depth[i].is_finite() && depth[i] > 0.0).then(|| 1.0 / depth[i]))
+    Sparse::new(w, h, |i| {
+        (mask[i] > 0 && depth[i].is_finite() && depth[i] > 0.0).then(|| 1.0 / depth[i])
+    })
 }
 
 /// Flow whose round trip misses by more than this is not followed, pixels.
 const ROUND_TRIP_PX: f32 = 1.0;
 
 /// Flow of pixels that `moves` and whose round trip is at most [`ROUND_TRIP_PX`].
-pub(crate) fn sparse_flow(flow: &Flow, trip: &[f32], moves: impl Fn(usize) -> bool) -> Sparse<[f32; 2]> {
-    Sparse::new(flow.width, flow.height, |i| (moves(i) && trip[i] <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]]))
+pub(crate) fn sparse_flow(
+    flow: &Flow,
+    trip: &[f32],
+    moves: impl Fn(usize) -> bool,
+) -> Sparse<[f32; 2]> {
+    Sparse::new(flow.width, flow.height, |i| {
+        (moves(i) && trip[i] <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]])
+    })
 }
 
 /// Forward and backward flow between two frames, of the dynamic pixels of each.
@@ -158,7 +200,11 @@ mod tests {
         let sparse = Sparse::new(4, 3, known);
         for y in 0..4 {
             for x in 0..6 {
-                let want = if x < 4 && y < 3 { known(y * 4 + x) } else { None };
+                let want = if x < 4 && y < 3 {
+                    known(y * 4 + x)
+                } else {
+                    None
+                };
                 assert_eq!(sparse.get(x, y), want, "{x} {y}");
             }
         }

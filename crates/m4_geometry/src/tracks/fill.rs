@@ -1,9 +1,10 @@
 //! Tracks carried on where their points are hidden, and taken up again where they come back.
 //!
-//! A point that is lost goes on with the rigid motion that most of its neighbours follow: those that were seen with it last, from that
-//! frame on, so that nothing adds up; where none of them is left, those around it, frame by frame. As soon as the
-//! camera sees something that moves where the point should be, at its depth, and its surface has not turned away, a chain
-//! starts there: if that goes where the neighbours go, it is the point again.
+//! A point that is lost goes on with the rigid motion that most of its neighbours follow: those
+//! that were seen with it last, from that frame on, so that nothing adds up; where none of them is
+//! left, those around it, frame by frame. As soon as the camera sees something that moves where the
+//! point should be, at its depth, and its surface has not turned away, a chain starts there: if
+//! that goes where the neighbours go, it is the point again.
 
 use super::flow_tracker::{Chain, Lifted, around, is_inside, lift, one_way};
 use super::predict::{Guess, Lost, Step, lose};
@@ -17,10 +18,11 @@ use rayon::prelude::*;
 const MOST_FRAMES: usize = 60;
 /// A point is visible again where the visible surface lies at its depth, to within this share ...
 const JOIN_DEPTH: f32 = 0.03;
-/// ... and where, some frames later, it is still within this many pixels of the prediction of its neighbours.
+/// ... and where, some frames later, it is still within this many pixels of the prediction of its
+/// neighbours.
 const JOIN_PX: f32 = 3.0;
-/// A hidden point in front of the visible surface by more than this share of the depth is wrong (docs/spec/optimiser.md 2.6:
-/// 5 %).
+/// A hidden point in front of the visible surface by more than this share of the depth is wrong
+/// (docs/spec/optimiser.md 2.6: 5 %).
 const FREE_SPACE: f32 = 0.05;
 /// Frames in which something farther was seen in its place, after which a track is given up.
 const MOST_VIOLATIONS: usize = 2;
@@ -42,12 +44,21 @@ struct Outcome {
 }
 
 /// Carries every track of `board` on to both ends of the clip, as far as its places can be told.
-pub(crate) fn fill(scene: &Scene<'_>, board: &mut Board, progress: &dyn Progress) -> Result<(), TrackError> {
+pub(crate) fn fill(
+    scene: &Scene<'_>,
+    board: &mut Board,
+    progress: &dyn Progress,
+) -> Result<(), TrackError> {
     sweep(scene, board, true, progress)?;
     sweep(scene, board, false, progress)
 }
 
-fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Progress) -> Result<(), TrackError> {
+fn sweep(
+    scene: &Scene<'_>,
+    board: &mut Board,
+    forward: bool,
+    progress: &dyn Progress,
+) -> Result<(), TrackError> {
     const PHASE: &str = "carrying hidden points";
     let n = board.frames;
     let frame = |s: usize| if forward { s } else { n - 1 - s };
@@ -60,7 +71,10 @@ fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Pro
         progress.update(PHASE, done, 2 * n - 1, "");
         let (before, now) = (frame(s - 1), frame(s));
         let unknown = |board: &Board, k: usize| board.state[board.at(now, k)] == State::Unknown;
-        let new: Vec<usize> = board.seen_in(before).filter(|&k| unknown(board, k)).collect();
+        let new: Vec<usize> = board
+            .seen_in(before)
+            .filter(|&k| unknown(board, k))
+            .collect();
         let memories = lose(board, &scene.strip.cameras[before], before, &new);
         for (&k, memory) in new.iter().zip(memories) {
             lost[k] = Some(memory);
@@ -92,9 +106,19 @@ fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Pro
                 lost[k] = None;
                 continue;
             }
-            let confidence = if outcome.violated { 0.0 } else { outcome.guess.confidence };
+            let confidence = if outcome.violated {
+                0.0
+            } else {
+                outcome.guess.confidence
+            };
             let p = outcome.guess.place;
-            board.set(now, k, [p.x as f32, p.y as f32, p.z as f32], outcome.guess.state, confidence);
+            board.set(
+                now,
+                k,
+                [p.x as f32, p.y as f32, p.z as f32],
+                outcome.guess.state,
+                confidence,
+            );
             if let Some(piece) = outcome.back {
                 board.put(k, &piece);
             }
@@ -118,7 +142,11 @@ fn look(
     let camera = &strip.cameras[now];
     let ([u, v], z) = camera.project(&guess.place);
     let at = [u as f32, v as f32];
-    let mut out = Outcome { guess, violated: false, back: None };
+    let mut out = Outcome {
+        guess,
+        violated: false,
+        back: None,
+    };
     if !(z > 0.0 && is_inside(strip, at)) {
         return out;
     }
@@ -135,7 +163,9 @@ fn least(surface: &DepthMap, at: [f32; 2]) -> f32 {
     let (x, y) = nearest(at);
     let rows = y.saturating_sub(1)..(y + 2).min(h);
     let pixels = rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
-    let known = pixels.map(|p| surface[p]).filter(|z| z.is_finite() && *z > 0.0);
+    let known = pixels
+        .map(|p| surface[p])
+        .filter(|z| z.is_finite() && *z > 0.0);
     known.min_by(f32::total_cmp).unwrap_or(0.0)
 }
 
@@ -161,15 +191,22 @@ fn again(
         seen.reverse();
     }
     let pieces = lift(strip, &Chain { first, seen });
-    let piece = pieces.into_iter().find(|p| (p.first..p.first + p.places.len()).contains(&now))?;
+    let piece = pieces
+        .into_iter()
+        .find(|p| (p.first..p.first + p.places.len()).contains(&now))?;
     // A little later it must still be where its neighbours say.
     let reach = (piece.places.len() - 1).min(PROOF - 1);
     let then = if forward { now + reach } else { now - reach };
-    if let (Some(want), Some(found)) =
-        (memory.check(board, track, then), then.checked_sub(piece.first).and_then(|i| piece.places.get(i)))
-    {
+    if let (Some(want), Some(found)) = (
+        memory.check(board, track, then),
+        then.checked_sub(piece.first)
+            .and_then(|i| piece.places.get(i)),
+    ) {
         let found = Vector3::from(found.map(f64::from));
-        let (a, b) = (strip.cameras[then].project(&want), strip.cameras[then].project(&found));
+        let (a, b) = (
+            strip.cameras[then].project(&want),
+            strip.cameras[then].project(&found),
+        );
         let off = (a.0[0] - b.0[0]).hypot(a.0[1] - b.0[1]);
         if !(off <= f64::from(JOIN_PX) && same_depth(a.1, b.1)) {
             return None;
@@ -227,7 +264,14 @@ impl Board {
         (0..self.count).filter(move |&k| self.state[self.at(frame, k)] == State::Seen)
     }
 
-    pub fn set(&mut self, frame: usize, track: usize, place: [f32; 3], state: State, confidence: f32) {
+    pub fn set(
+        &mut self,
+        frame: usize,
+        track: usize,
+        place: [f32; 3],
+        state: State,
+        confidence: f32,
+    ) {
         let i = self.at(frame, track);
         (self.places[i], self.state[i], self.confidence[i]) = (place, state, confidence);
     }
@@ -245,7 +289,8 @@ impl Board {
         }
     }
 
-    /// What was guessed blindly is forgotten where the track did not come back: `frames` in the order of the guessing.
+    /// What was guessed blindly is forgotten where the track did not come back: `frames` in the
+    /// order of the guessing.
     pub fn forget_blind(&mut self, frames: impl Iterator<Item = usize> + Clone) {
         for track in 0..self.count {
             let mut run: Vec<usize> = Vec::new();
@@ -277,11 +322,23 @@ mod tests {
     fn blind_guesses_stay_where_the_track_comes_back() {
         let mut board = Board::new(6, 2);
         for k in 0..2 {
-            board.put(k, &Lifted { first: 0, places: vec![[1.0; 3]; 2] });
+            board.put(
+                k,
+                &Lifted {
+                    first: 0,
+                    places: vec![[1.0; 3]; 2],
+                },
+            );
             board.set(2, k, [2.0; 3], State::Blind, 0.2);
             board.set(3, k, [2.0; 3], State::Blind, 0.2);
         }
-        board.put(1, &Lifted { first: 4, places: vec![[3.0; 3]; 9] });
+        board.put(
+            1,
+            &Lifted {
+                first: 4,
+                places: vec![[3.0; 3]; 9],
+            },
+        );
         board.forget_blind(0..6);
         assert_eq!(board.state[board.at(2, 0)], State::Unknown);
         assert!(board.places[board.at(3, 0)][0].is_nan());

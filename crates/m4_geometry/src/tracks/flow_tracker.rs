@@ -1,4 +1,5 @@
-//! Points followed along optical flow, frame by frame, and brought into the world with the depth under them; without weights.
+//! Points followed along optical flow, frame by frame, and brought into the world with the depth
+//! under them; without weights.
 
 use super::clip::{Strip, moving, sparse_flow_pair};
 use super::fill::State;
@@ -14,22 +15,36 @@ const MOST_PLACES: usize = 8_000_000;
 /// Time over which the depth of a track is smoothed, standard deviation in frames.
 const SMOOTH_FRAMES: f32 = 2.0;
 
-/// Follows the dynamic points of a clip (Minute4D Eq. 5, without a network): chains along optical flow, lifted with depth (docs/spec/front-end.md 7.1, item 8), and carried on where
-/// they are hidden with the local rigid motion of their neighbours (docs/spec/front-end.md 3, "cheaper substitute"). No point starts
-/// where a chain passes, and a chain that jumps becomes several tracks.
+/// Follows the dynamic points of a clip (Minute4D Eq. 5, without a network): chains along optical
+/// flow, lifted with depth (docs/spec/front-end.md 7.1, item 8), and carried on where they are
+/// hidden with the local rigid motion of their neighbours (docs/spec/front-end.md 3, "cheaper
+/// substitute"). No point starts where a chain passes, and a chain that jumps becomes several
+/// tracks.
 ///
-/// Frames are followed at the size that the clip has. Of each, flow and depth of dynamic regions are kept; images are read a few at a
-/// time. The same clip and grid give the same bits for any number of threads.
+/// Frames are followed at the size that the clip has. Of each, flow and depth of dynamic regions
+/// are kept; images are read a few at a time. The same clip and grid give the same bits for any
+/// number of threads.
 ///
 /// # Errors
 ///
 /// [`TrackError`] for an unusable grid, where a frame cannot be used, or the user stops.
-pub fn follow(clip: &CaptureClip<'_>, grid: &QueryGrid, progress: &dyn Progress) -> Result<Tracks, TrackError> {
+pub fn follow(
+    clip: &CaptureClip<'_>,
+    grid: &QueryGrid,
+    progress: &dyn Progress,
+) -> Result<Tracks, TrackError> {
     grid.check()?;
     let strip = strip(clip, progress)?;
     let mut board = board_of(clip.frames(), &on_grid(&strip, grid));
     let surface = |i: usize| Ok(clip.read(i)?.depth);
-    fill(&Scene { strip: &strip, surface: &surface }, &mut board, progress)?;
+    fill(
+        &Scene {
+            strip: &strip,
+            surface: &surface,
+        },
+        &mut board,
+        progress,
+    )?;
     followed(board)
 }
 
@@ -49,7 +64,8 @@ pub(crate) fn board_of(frames: usize, pieces: &[Lifted]) -> Board {
     board
 }
 
-/// Chains that start at regular intervals of frames, each from the cells of a grid that no chain passes, in the world.
+/// Chains that start at regular intervals of frames, each from the cells of a grid that no chain
+/// passes, in the world.
 pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid) -> Vec<Lifted> {
     let cell = grid.spacing_px.max(1);
     let columns = strip.width.div_ceil(cell);
@@ -62,7 +78,10 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid) -> Vec<Lifted> {
     for start in grid.starts(frames) {
         let mut taken = vec![false; columns * strip.height.div_ceil(cell)];
         for chain in &all {
-            if let Some(at) = start.checked_sub(chain.first).and_then(|k| chain.seen.get(k)) {
+            if let Some(at) = start
+                .checked_sub(chain.first)
+                .and_then(|k| chain.seen.get(k))
+            {
                 taken[cell_of(at)] = true;
             }
         }
@@ -71,7 +90,10 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid) -> Vec<Lifted> {
         let size = (strip.width, strip.height);
         let seeds = free.filter_map(|c| seed(size, c % columns, c / columns, cell, &moves));
         let seeds: Vec<[f32; 2]> = seeds.collect();
-        let found: Vec<Chain> = seeds.par_iter().map(|at| chain(strip, start, *at)).collect();
+        let found: Vec<Chain> = seeds
+            .par_iter()
+            .map(|at| chain(strip, start, *at))
+            .collect();
         all.extend(found.into_iter().filter(|c| c.seen.len() >= SHORTEST));
     }
     let lifted: Vec<Vec<Lifted>> = all.par_iter().map(|chain| lift(strip, chain)).collect();
@@ -97,16 +119,22 @@ fn strip(clip: &CaptureClip<'_>, progress: &dyn Progress) -> Result<Strip, Track
             return Err(TrackError::Cancelled { phase: PHASE });
         }
         let to = (from + BATCH).min(frames);
-        let read: Vec<Result<PosedFrame, TrackError>> = (from..to).into_par_iter().map(|i| clip.read(i)).collect();
+        let read: Vec<Result<PosedFrame, TrackError>> =
+            (from..to).into_par_iter().map(|i| clip.read(i)).collect();
         // the last frame of the batch before, and this batch
         let mut batch: Vec<PosedFrame> = last.take().into_iter().collect();
         let carried = batch.len();
         for frame in read {
             batch.push(frame?);
         }
-        out.cameras.extend(batch[carried..].iter().map(|f| f.camera));
-        out.moving.extend(batch[carried..].par_iter().map(moving).collect::<Vec<_>>());
-        let pairs: Vec<_> = batch.par_windows(2).map(|pair| sparse_flow_pair([&pair[0], &pair[1]])).collect();
+        out.cameras
+            .extend(batch[carried..].iter().map(|f| f.camera));
+        out.moving
+            .extend(batch[carried..].par_iter().map(moving).collect::<Vec<_>>());
+        let pairs: Vec<_> = batch
+            .par_windows(2)
+            .map(|pair| sparse_flow_pair([&pair[0], &pair[1]]))
+            .collect();
         for [there, back] in pairs {
             out.forward.push(there);
             out.backward.push(back);
@@ -135,7 +163,8 @@ pub(crate) fn chain(strip: &Strip, start: usize, at: [f32; 2]) -> Chain {
     Chain { first, seen }
 }
 
-/// Where the point at `at` of frame `start` is in the frames after it, or before, as far as it can be followed.
+/// Where the point at `at` of frame `start` is in the frames after it, or before, as far as it can
+/// be followed.
 pub(super) fn one_way(strip: &Strip, start: usize, at: [f32; 2], forward: bool) -> Vec<[f32; 2]> {
     let mut out = Vec::new();
     let (mut frame, mut at) = (start, at);
@@ -148,7 +177,11 @@ pub(super) fn one_way(strip: &Strip, start: usize, at: [f32; 2], forward: bool) 
 
 /// Where a point is one frame on, or back.
 fn step(strip: &Strip, frame: usize, at: [f32; 2], forward: bool) -> Option<(usize, [f32; 2])> {
-    let next = if forward { frame + 1 } else { frame.checked_sub(1)? };
+    let next = if forward {
+        frame + 1
+    } else {
+        frame.checked_sub(1)?
+    };
     let [u, v] = flow_of_part(strip, frame, at, forward)?;
     let to = [at[0] + u, at[1] + v];
     let (x, y) = nearest(to);
@@ -157,12 +190,20 @@ fn step(strip: &Strip, frame: usize, at: [f32; 2], forward: bool) -> Option<(usi
 
 /// Whether a place is in the image.
 pub(super) fn is_inside(strip: &Strip, at: [f32; 2]) -> bool {
-    at[0] > -0.5 && at[1] > -0.5 && at[0] < strip.width as f32 - 0.5 && at[1] < strip.height as f32 - 0.5
+    at[0] > -0.5
+        && at[1] > -0.5
+        && at[0] < strip.width as f32 - 0.5
+        && at[1] < strip.height as f32 - 0.5
 }
 
-/// Bilinear flow of those of the four pixels around that move and lead back; none if the nearest does not.
+/// Bilinear flow of those of the four pixels around that move and lead back; none if the nearest
+/// does not.
 fn flow_of_part(strip: &Strip, frame: usize, at: [f32; 2], forward: bool) -> Option<[f32; 2]> {
-    let flow = if forward { strip.forward.get(frame)? } else { strip.backward.get(frame.checked_sub(1)?)? };
+    let flow = if forward {
+        strip.forward.get(frame)?
+    } else {
+        strip.backward.get(frame.checked_sub(1)?)?
+    };
     let (x, y) = nearest(at);
     flow.get(x, y)?;
     let (left, top) = (at[0].floor(), at[1].floor());
@@ -200,15 +241,28 @@ pub(crate) struct Lifted {
 /// The pieces of a chain between jumps, in the world.
 pub(crate) fn lift(strip: &Strip, chain: &Chain) -> Vec<Lifted> {
     let frames = || (chain.first..).zip(&chain.seen);
-    let raw: Vec<f32> = frames().map(|(frame, at)| around(strip, frame, *at)).collect();
+    let raw: Vec<f32> = frames()
+        .map(|(frame, at)| around(strip, frame, *at))
+        .collect();
     let place = |frame: usize, at: &[f32; 2], disparity: f32| {
-        strip.cameras[frame].unproject(f64::from(at[0]), f64::from(at[1]), 1.0 / f64::from(disparity))
+        strip.cameras[frame].unproject(
+            f64::from(at[0]),
+            f64::from(at[1]),
+            1.0 / f64::from(disparity),
+        )
     };
-    let places: Vec<_> = frames().zip(&raw).map(|((frame, at), d)| place(frame, at, *d)).collect();
-    let steps: Vec<f32> = places.windows(2).map(|p| (p[1] - p[0]).norm() as f32).collect();
+    let places: Vec<_> = frames()
+        .zip(&raw)
+        .map(|((frame, at), d)| place(frame, at, *d))
+        .collect();
+    let steps: Vec<f32> = places
+        .windows(2)
+        .map(|p| (p[1] - p[0]).norm() as f32)
+        .collect();
     let median = quantile(&mut steps.clone(), 0.5).unwrap_or(0.0);
     let jumps = |k: usize| {
-        let small = SMALL_STEP_PX / (f64::from(raw[k]) * strip.cameras[chain.first + k].intrinsics.fx);
+        let small =
+            SMALL_STEP_PX / (f64::from(raw[k]) * strip.cameras[chain.first + k].intrinsics.fx);
         !steps[k].is_finite() || steps[k] > JUMP * median + small as f32
     };
     let mut out = Vec::new();
@@ -219,7 +273,9 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain) -> Vec<Lifted> {
         }
         if to - from >= SHORTEST {
             let depth = smooth(&raw[from..to], SMOOTH_FRAMES);
-            let piece = (chain.first + from..).zip(&chain.seen[from..to]).zip(&depth);
+            let piece = (chain.first + from..)
+                .zip(&chain.seen[from..to])
+                .zip(&depth);
             let places: Vec<[f32; 3]> = piece
                 .map(|((frame, at), d)| place(frame, at, *d))
                 .map(|p| [p.x as f32, p.y as f32, p.z as f32])
@@ -234,17 +290,22 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain) -> Vec<Lifted> {
     out
 }
 
-/// Median disparity of the moving ones of 3x3 pixels: what leans over the edge of a mask does not count.
+/// Median disparity of the moving ones of 3x3 pixels: what leans over the edge of a mask does not
+/// count.
 pub(super) fn around(strip: &Strip, frame: usize, at: [f32; 2]) -> f32 {
     let (x, y) = nearest(at);
     let rows = y.saturating_sub(1)..(y + 2).min(strip.height);
-    let pixels = rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(strip.width)).map(move |x| (x, y)));
-    let mut values: Vec<f32> = pixels.filter_map(|(x, y)| strip.moving[frame].get(x, y)).collect();
+    let pixels =
+        rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(strip.width)).map(move |x| (x, y)));
+    let mut values: Vec<f32> = pixels
+        .filter_map(|(x, y)| strip.moving[frame].get(x, y))
+        .collect();
     quantile(&mut values, 0.5).unwrap_or(f32::NAN)
 }
 
-/// Disparity along a track, its logarithm smoothed by lines through the frames around each (weights of standard deviation
-/// `sd` frames), so that what comes nearer steadily is not held back at the ends.
+/// Disparity along a track, its logarithm smoothed by lines through the frames around each (weights
+/// of standard deviation `sd` frames), so that what comes nearer steadily is not held back at the
+/// ends.
 pub(crate) fn smooth(disparity: &[f32], sd: f32) -> Vec<f32> {
     let logs: Vec<f64> = disparity.iter().map(|d| f64::from(*d).ln()).collect();
     let reach = (3.0 * sd).ceil() as usize;
@@ -261,7 +322,11 @@ pub(crate) fn smooth(disparity: &[f32], sd: f32) -> Vec<f32> {
                 sty += w * t * logs[j];
             }
             let determinant = s * stt - st * st;
-            let at_0 = if determinant > 1e-12 { (stt * sy - st * sty) / determinant } else { sy / s };
+            let at_0 = if determinant > 1e-12 {
+                (stt * sy - st * sty) / determinant
+            } else {
+                sy / s
+            };
             at_0.exp() as f32
         })
         .collect()

@@ -5,13 +5,15 @@
 //! CaptureClip (one frame at a time) -> strip (flow and depth of dynamic regions) -> chain -> lift -> fill -> again where it comes back
 //! ```
 //!
-//! [`follow`] is the tracking enhancement of Minute4D without weights (section 3.2 of the paper; docs/spec/front-end.md 3;
-//! docs/spec/front-end.md 7.1, item 8): it chains optical flow, lifts it with depth, and where a point is hidden carries it on with the
-//! local rigid motion of its neighbours (as rigid as possible: Sorkine and Alexa 2007), until it can be seen where it is predicted. A
-//! network such as TAPIP3D takes the queries of the same grid ([`QueryGrid::queries`]: frame and place in the world) and says where each
-//! is in every frame.
+//! [`follow`] is the tracking enhancement of Minute4D without weights (section 3.2 of the paper;
+//! docs/spec/front-end.md 3; docs/spec/front-end.md 7.1, item 8): it chains optical flow, lifts it
+//! with depth, and where a point is hidden carries it on with the local rigid motion of its
+//! neighbours (as rigid as possible: Sorkine and Alexa 2007), until it can be seen where it is
+//! predicted. A network such as TAPIP3D takes the queries of the same grid ([`QueryGrid::queries`]:
+//! frame and place in the world) and says where each is in every frame.
 //!
-//! Pixels here have the centre of the first one at (0, 0), as [`m4_core::Camera::project`] has them; places are world units.
+//! Pixels here have the centre of the first one at (0, 0), as [`m4_core::Camera::project`] has
+//! them; places are world units.
 
 mod clip;
 mod fill;

@@ -12,16 +12,19 @@ use std::num::NonZero;
 const NEIGHBOURS: usize = 16;
 /// Neighbours farther away than this many times the distance of neighbouring tracks do not count.
 const REACH: f32 = 24.0;
-/// Most frames that a hidden point without a visible neighbour goes on with its last motion; they count if it becomes visible again.
+/// Most frames that a hidden point without a visible neighbour goes on with its last motion; they
+/// count if it becomes visible again.
 const BLIND_FRAMES: usize = 12;
-/// Neighbours that are remembered when a point is lost: the nearest, and those of a thinner set that reaches farther.
+/// Neighbours that are remembered when a point is lost: the nearest, and those of a thinner set
+/// that reaches farther.
 const NEAREST: usize = 24;
 const FARTHER: usize = 40;
 /// The thinner set has one of this many.
 const THINNER: usize = 8;
 /// Fewest neighbours whose motion is trusted before others are asked.
 const ENOUGH: usize = 3;
-/// Frames before a point was lost in which its distance to a neighbour is compared: what belongs to one body keeps its distance.
+/// Frames before a point was lost in which its distance to a neighbour is compared: what belongs to
+/// one body keeps its distance.
 const BACK: [usize; 2] = [4, 8];
 /// Frames after which a prediction is trusted half as much.
 const HALF_TRUST: f32 = 16.0;
@@ -31,7 +34,8 @@ const HALF_TRUST: f32 = 16.0;
 pub(super) struct Lost {
     /// The last frame in which it was seen.
     pub since: usize,
-    /// Tracks that were seen there too, the nearest first, and how far they seem to be of its body, 0..1.
+    /// Tracks that were seen there too, the nearest first, and how far they seem to be of its body,
+    /// 0..1.
     near: Vec<(u32, f64)>,
     /// How far tracks lie apart there, world units.
     spacing: f64,
@@ -69,8 +73,14 @@ fn nearest(tree: &Tree, p: &[f32; 3], count: usize) -> Vec<(f32, usize)> {
     let Some(count) = NonZero::new(count) else {
         return Vec::new();
     };
-    let found = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute();
-    let mut out: Vec<(f32, usize)> = found.into_iter().map(|n| (n.distance, n.item as usize)).collect();
+    let found = tree
+        .query(p)
+        .nearest_n::<SquaredEuclidean<f32>>(count)
+        .execute();
+    let mut out: Vec<(f32, usize)> = found
+        .into_iter()
+        .map(|n| (n.distance, n.item as usize))
+        .collect();
     out.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     out
 }
@@ -103,7 +113,10 @@ pub(super) fn lose(board: &Board, camera: &Camera, since: usize, tracks: &[usize
             since,
             near: near.iter().map(|&(_, j)| (j as u32, kin(j))).collect(),
             spacing,
-            normal: normal(close.iter().map(|&(_, i)| vector(places[i])), &(camera.centre() - vector(at))),
+            normal: normal(
+                close.iter().map(|&(_, i)| vector(places[i])),
+                &(camera.centre() - vector(at)),
+            ),
             rotation: Rotation3::identity(),
             blind: 0,
             violations: 0,
@@ -117,22 +130,35 @@ fn spacing(tree: &Tree, places: &[[f32; 3]]) -> f64 {
     if places.len() < 2 {
         return 0.0;
     }
-    let mut squares: Vec<f32> = places.par_iter().map(|p| nearest(tree, p, 2).get(1).map_or(0.0, |n| n.0)).collect();
+    let mut squares: Vec<f32> = places
+        .par_iter()
+        .map(|p| nearest(tree, p, 2).get(1).map_or(0.0, |n| n.0))
+        .collect();
     m4_core::median(&mut squares).map_or(0.0, |square| f64::from(square.sqrt()))
 }
 
-/// How far two tracks seem to be of one body: 1 where they kept their distance, towards 0 where they did not.
+/// How far two tracks seem to be of one body: 1 where they kept their distance, towards 0 where
+/// they did not.
 fn kinship(board: &Board, frame: usize, a: usize, b: usize, spacing: f64) -> f64 {
     let apart = |t: usize| Some((vector(board.seen(t, a)?) - vector(board.seen(t, b)?)).norm());
     let Some(now) = apart(frame) else { return 0.0 };
-    let others = BACK.iter().flat_map(|&k| [frame.checked_sub(k), Some(frame + k).filter(|t| *t < board.frames)]);
+    let others = BACK.iter().flat_map(|&k| {
+        [
+            frame.checked_sub(k),
+            Some(frame + k).filter(|t| *t < board.frames),
+        ]
+    });
     let changes = others.flatten().filter_map(apart).map(|d| (d - now).abs());
     let change = changes.fold(0.0, f64::max) / (0.1 * now + 0.5 * spacing).max(1e-12);
     1.0 / (1.0 + change * change).powi(2)
 }
 
-/// The direction in which places spread least, towards `to`; `None` where that is no clear direction.
-fn normal(places: impl Iterator<Item = Vector3<f64>> + Clone, to: &Vector3<f64>) -> Option<Vector3<f64>> {
+/// The direction in which places spread least, towards `to`; `None` where that is no clear
+/// direction.
+fn normal(
+    places: impl Iterator<Item = Vector3<f64>> + Clone,
+    to: &Vector3<f64>,
+) -> Option<Vector3<f64>> {
     let count = places.clone().count();
     if count < 6 {
         return None;
@@ -157,18 +183,35 @@ pub(super) struct Step {
 
 impl Step {
     pub fn new(board: &Board, before: usize, now: usize) -> Self {
-        let both = board.seen_in(before).filter(|&k| board.seen(now, k).is_some());
+        let both = board
+            .seen_in(before)
+            .filter(|&k| board.seen(now, k).is_some());
         let tracks: Vec<usize> = both.collect();
-        let places: Vec<[f32; 3]> = tracks.iter().filter_map(|&k| board.seen(before, k)).collect();
+        let places: Vec<[f32; 3]> = tracks
+            .iter()
+            .filter_map(|&k| board.seen(before, k))
+            .collect();
         let tree = tree(&places);
-        Self { before, now, tracks, tree }
+        Self {
+            before,
+            now,
+            tracks,
+            tree,
+        }
     }
 }
 
 impl Lost {
-    /// Where the point is in the frame that `step` leads to: by those that were seen with it, else by those that are around it on the
-    /// way, else as it moved last (`before`: the frame before that of the step).
-    pub fn guess(&self, board: &Board, track: usize, step: &Step, earlier: Option<usize>) -> Option<Guess> {
+    /// Where the point is in the frame that `step` leads to: by those that were seen with it, else
+    /// by those that are around it on the way, else as it moved last (`before`: the frame before
+    /// that of the step).
+    pub fn guess(
+        &self,
+        board: &Board,
+        track: usize,
+        step: &Step,
+        earlier: Option<usize>,
+    ) -> Option<Guess> {
         let together = self.anchors_together(board, track, step.now);
         let passing = || self.anchors_passing(board, track, step);
         if together.len() >= ENOUGH {
@@ -187,31 +230,43 @@ impl Lost {
         self.blindly(board, track, step, earlier)
     }
 
-    /// Where those that were last seen with it say that it is in frame `now`; `None` where too few are seen there.
+    /// Where those that were last seen with it say that it is in frame `now`; `None` where too few
+    /// are seen there.
     pub fn check(&self, board: &Board, track: usize, now: usize) -> Option<Vector3<f64>> {
         let anchors = self.anchors_together(board, track, now);
         let enough = anchors.len() >= ENOUGH;
-        enough.then(|| self.together(board, track, now, &anchors))?.map(|g| g.place)
+        enough
+            .then(|| self.together(board, track, now, &anchors))?
+            .map(|g| g.place)
     }
 
     /// False where its surface has turned away from a camera at `centre`.
     pub fn faces(&self, guess: &Guess, centre: &Vector3<f64>) -> bool {
-        self.normal.is_none_or(|n| (guess.rotation * n).dot(&(centre - guess.place)) > 0.0)
+        self.normal
+            .is_none_or(|n| (guess.rotation * n).dot(&(centre - guess.place)) > 0.0)
     }
 
     /// Takes over what a guess found out.
     pub fn learn(&mut self, guess: &Guess) {
         self.rotation = guess.rotation;
-        self.blind = if guess.state == State::Blind { self.blind + 1 } else { 0 };
+        self.blind = if guess.state == State::Blind {
+            self.blind + 1
+        } else {
+            0
+        };
     }
 
     /// Neighbours in the last frame where both were seen, and now.
     fn anchors_together(&self, board: &Board, track: usize, now: usize) -> Vec<Anchor> {
         let from = vector(board.places[board.at(self.since, track)]);
-        let both = self.near.iter().filter(|(_, kin)| *kin > 0.05).filter_map(|&(j, kin)| {
-            let place = board.places[board.at(self.since, j as usize)];
-            Some((vector(place), vector(board.seen(now, j as usize)?), kin))
-        });
+        let both = self
+            .near
+            .iter()
+            .filter(|(_, kin)| *kin > 0.05)
+            .filter_map(|&(j, kin)| {
+                let place = board.places[board.at(self.since, j as usize)];
+                Some((vector(place), vector(board.seen(now, j as usize)?), kin))
+            });
         self.weighted(&from, both.take(NEIGHBOURS).collect())
     }
 
@@ -224,16 +279,28 @@ impl Lost {
         let near = nearest(tree, &at, NEIGHBOURS.min(step.tracks.len()));
         let both = near.into_iter().filter_map(|(_, i)| {
             let k = step.tracks[i];
-            Some((vector(board.seen(step.before, k)?), vector(board.seen(step.now, k)?), 1.0))
+            Some((
+                vector(board.seen(step.before, k)?),
+                vector(board.seen(step.now, k)?),
+                1.0,
+            ))
         });
         self.weighted(&vector(at), both.collect())
     }
 
-    /// Pairs, nearest first, with weights that fall with their distance to `at`; none beyond the reach.
-    fn weighted(&self, at: &Vector3<f64>, pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)>) -> Vec<Anchor> {
+    /// Pairs, nearest first, with weights that fall with their distance to `at`; none beyond the
+    /// reach.
+    fn weighted(
+        &self,
+        at: &Vector3<f64>,
+        pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)>,
+    ) -> Vec<Anchor> {
         let reach = f64::from(REACH) * self.spacing;
         let far = |p: &Vector3<f64>| (p - at).norm();
-        let pairs: Vec<_> = pairs.into_iter().filter(|(p, _, _)| far(p) <= reach).collect();
+        let pairs: Vec<_> = pairs
+            .into_iter()
+            .filter(|(p, _, _)| far(p) <= reach)
+            .collect();
         let Some((middle, _, _)) = pairs.get(pairs.len() / 2) else {
             return Vec::new();
         };
@@ -246,7 +313,13 @@ impl Lost {
         pairs.iter().map(anchor).collect()
     }
 
-    fn together(&self, board: &Board, track: usize, now: usize, anchors: &[Anchor]) -> Option<Guess> {
+    fn together(
+        &self,
+        board: &Board,
+        track: usize,
+        now: usize,
+        anchors: &[Anchor],
+    ) -> Option<Guess> {
         let from = vector(board.places[board.at(self.since, track)]);
         let fit = fit(anchors, &self.rotation, self.spacing)?;
         Some(Guess {
@@ -257,7 +330,13 @@ impl Lost {
         })
     }
 
-    fn passing(&self, board: &Board, track: usize, step: &Step, anchors: &[Anchor]) -> Option<Guess> {
+    fn passing(
+        &self,
+        board: &Board,
+        track: usize,
+        step: &Step,
+        anchors: &[Anchor],
+    ) -> Option<Guess> {
         let from = vector(board.places[board.at(step.before, track)]);
         let fit = fit(anchors, &Rotation3::identity(), self.spacing)?;
         Some(Guess {
@@ -268,7 +347,13 @@ impl Lost {
         })
     }
 
-    fn blindly(&self, board: &Board, track: usize, step: &Step, earlier: Option<usize>) -> Option<Guess> {
+    fn blindly(
+        &self,
+        board: &Board,
+        track: usize,
+        step: &Step,
+        earlier: Option<usize>,
+    ) -> Option<Guess> {
         let from = board.places[board.at(step.before, track)];
         let last = board.places[board.at(earlier?, track)];
         let known = self.blind < BLIND_FRAMES && last.iter().all(|v| v.is_finite());

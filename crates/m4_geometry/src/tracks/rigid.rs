@@ -34,14 +34,20 @@ const PRIOR: f64 = 0.01;
 /// Anchors that miss by this many times the median miss count a quarter.
 const OUTLIER: f64 = 2.0;
 
-/// The rigid motion that most of `anchors` follow: least squares (Kabsch 1976) with weights of Geman and McClure, from a first
-/// guess that half of them may contradict. Where they say nothing of the rotation, or little (one anchor, a line), it stays at `prior`.
-/// `None` without weight.
+/// The rigid motion that most of `anchors` follow: least squares (Kabsch 1976) with weights of
+/// Geman and McClure, from a first guess that half of them may contradict. Where they say nothing
+/// of the rotation, or little (one anchor, a line), it stays at `prior`. `None` without weight.
 pub(super) fn fit(anchors: &[Anchor], prior: &Rotation3<f64>, spacing: f64) -> Option<Fit> {
     let mut weights: Vec<f64> = anchors.iter().map(|a| a.weight).collect();
     // The first guess: shifts near the middle one.
     let shifts: Vec<Vector3<f64>> = anchors.iter().map(|a| a.to - prior * a.from).collect();
-    let off = |s: &Vector3<f64>| shifts.iter().zip(anchors).map(|(b, a)| a.weight * (s - b).norm()).sum::<f64>();
+    let off = |s: &Vector3<f64>| {
+        shifts
+            .iter()
+            .zip(anchors)
+            .map(|(b, a)| a.weight * (s - b).norm())
+            .sum::<f64>()
+    };
     let middle = shifts.iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
     let misses: Vec<f64> = shifts.iter().map(|s| (s - middle).norm()).collect();
     // A turn moves anchors apart as well, so the first guess is a mild one.
@@ -49,7 +55,10 @@ pub(super) fn fit(anchors: &[Anchor], prior: &Rotation3<f64>, spacing: f64) -> O
     let mut found = None;
     for _ in 0..ROUNDS {
         let now = least_squares(anchors, &weights, prior, spacing)?;
-        let misses: Vec<f64> = anchors.iter().map(|a| (now.apply(&a.from) - a.to).norm()).collect();
+        let misses: Vec<f64> = anchors
+            .iter()
+            .map(|a| (now.apply(&a.from) - a.to).norm())
+            .collect();
         let miss = reweigh(&mut weights, anchors, &misses, OUTLIER, 0.02 * spacing);
         found = Some(Fit { miss, ..now });
     }
@@ -57,7 +66,13 @@ pub(super) fn fit(anchors: &[Anchor], prior: &Rotation3<f64>, spacing: f64) -> O
 }
 
 /// New weights; the median miss, by the anchors' own weights.
-fn reweigh(weights: &mut [f64], anchors: &[Anchor], misses: &[f64], outlier: f64, least: f64) -> f64 {
+fn reweigh(
+    weights: &mut [f64],
+    anchors: &[Anchor],
+    misses: &[f64],
+    outlier: f64,
+    least: f64,
+) -> f64 {
     let mut order: Vec<usize> = (0..misses.len()).collect();
     order.sort_by(|&a, &b| misses[a].total_cmp(&misses[b]));
     let total: f64 = anchors.iter().map(|a| a.weight).sum();
@@ -74,7 +89,12 @@ fn reweigh(weights: &mut [f64], anchors: &[Anchor], misses: &[f64], outlier: f64
     median
 }
 
-fn least_squares(anchors: &[Anchor], weights: &[f64], prior: &Rotation3<f64>, spacing: f64) -> Option<Fit> {
+fn least_squares(
+    anchors: &[Anchor],
+    weights: &[f64],
+    prior: &Rotation3<f64>,
+    spacing: f64,
+) -> Option<Fit> {
     let (mut from, mut to, mut total) = (Vector3::zeros(), Vector3::zeros(), 0.0);
     for (a, &w) in anchors.iter().zip(weights) {
         from += w * a.from;
@@ -101,7 +121,12 @@ fn least_squares(anchors: &[Anchor], weights: &[f64], prior: &Rotation3<f64>, sp
     } else {
         *prior
     };
-    Some(Fit { rotation, from, to, miss: 0.0 })
+    Some(Fit {
+        rotation,
+        from,
+        to,
+        miss: 0.0,
+    })
 }
 
 #[cfg(test)]
@@ -114,7 +139,9 @@ mod tests {
 
     fn cloud(n: usize) -> Vec<Vector3<f64>> {
         let mut rng = CounterRng::new(3, 1, 4);
-        (0..n).map(|_| Vector3::from([0, 1, 2].map(|_| rng.uniform() - 0.5))).collect()
+        (0..n)
+            .map(|_| Vector3::from([0, 1, 2].map(|_| rng.uniform() - 0.5)))
+            .collect()
     }
 
     #[test]
@@ -124,7 +151,15 @@ mod tests {
         let anchors: Vec<Anchor> = cloud(24)
             .into_iter()
             .enumerate()
-            .map(|(i, p)| Anchor { from: p, to: if i % 3 == 0 { p - shift } else { turn * p + shift }, weight: 1.0 })
+            .map(|(i, p)| Anchor {
+                from: p,
+                to: if i % 3 == 0 {
+                    p - shift
+                } else {
+                    turn * p + shift
+                },
+                weight: 1.0,
+            })
             .collect();
         let found = fit(&anchors, &Rotation3::identity(), 0.2).unwrap();
         let p = Vector3::new(0.8, -0.3, 0.5);
@@ -136,8 +171,11 @@ mod tests {
     fn unconstrained_directions_stay_unchanged() {
         let prior = Rotation3::from_scaled_axis(Vector3::new(0.3, 0.0, 0.0));
         let shift = Vector3::new(0.0, 1.0, 0.0);
-        let one =
-            Anchor { from: Vector3::new(1.0, 2.0, 3.0), to: prior * Vector3::new(1.0, 2.0, 3.0) + shift, weight: 0.5 };
+        let one = Anchor {
+            from: Vector3::new(1.0, 2.0, 3.0),
+            to: prior * Vector3::new(1.0, 2.0, 3.0) + shift,
+            weight: 0.5,
+        };
         let found = fit(&[one], &prior, 0.1).unwrap();
         assert!((found.rotation.matrix() - prior.matrix()).norm() < 1e-9);
         // a line along x, turned about z: the turn about the line itself stays at the prior
@@ -145,7 +183,11 @@ mod tests {
         let line: Vec<Anchor> = (0..9)
             .map(|i| {
                 let from = Vector3::new(0.1 * f64::from(i), 0.0, 0.0);
-                Anchor { from, to: turn * from, weight: 1.0 }
+                Anchor {
+                    from,
+                    to: turn * from,
+                    weight: 1.0,
+                }
             })
             .collect();
         let found = fit(&line, &prior, 0.1).unwrap();

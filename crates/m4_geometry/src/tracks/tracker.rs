@@ -53,7 +53,8 @@ pub enum TrackError {
     },
 }
 
-/// Queries on a regular grid of pixels inside the masks (section 3.2 of the paper; docs/spec/optimiser.md 2.6).
+/// Queries on a regular grid of pixels inside the masks (section 3.2 of the paper;
+/// docs/spec/optimiser.md 2.6).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QueryGrid {
     /// Points start in every n-th frame, and in the last.
@@ -65,9 +66,14 @@ pub struct QueryGrid {
 }
 
 impl Default for QueryGrid {
-    /// Every 10th frame: the paper's choice for DyCheck and DAVIS; for NVIDIA Dynamic it has every frame.
+    /// Every 10th frame: the paper's choice for DyCheck and DAVIS; for NVIDIA Dynamic it has every
+    /// frame.
     fn default() -> Self {
-        Self { every: 10, spacing_px: 4, most: 20_000 }
+        Self {
+            every: 10,
+            spacing_px: 4,
+            most: 20_000,
+        }
     }
 }
 
@@ -75,7 +81,10 @@ impl QueryGrid {
     /// For chains of flow: every 4th frame. The specification's queries: every frame to every 10th.
     #[must_use]
     pub fn chains() -> Self {
-        Self { every: 4, ..Self::default() }
+        Self {
+            every: 4,
+            ..Self::default()
+        }
     }
 
     /// Rejects unusable values.
@@ -84,9 +93,17 @@ impl QueryGrid {
     ///
     /// [`TrackError::Setting`] naming the first one.
     pub fn check(&self) -> Result<(), TrackError> {
-        let all = [("every", self.every), ("spacing_px", self.spacing_px), ("most", self.most)];
+        let all = [
+            ("every", self.every),
+            ("spacing_px", self.spacing_px),
+            ("most", self.most),
+        ];
         match all.into_iter().find(|(_, v)| *v == 0) {
-            Some((name, _)) => Err(TrackError::Setting { name, value: 0.0, expected: "at least 1" }),
+            Some((name, _)) => Err(TrackError::Setting {
+                name,
+                value: 0.0,
+                expected: "at least 1",
+            }),
             None => Ok(()),
         }
     }
@@ -132,12 +149,15 @@ impl QueryGrid {
             let z = frame.depth[(x, y)];
             frame.moving[(x, y)] > 0 && z.is_finite() && z > 0.0
         };
-        let seeds =
-            (0..columns * rows).filter_map(|c| seed((w, h), c % columns, c / columns, self.spacing_px, &usable));
+        let seeds = (0..columns * rows)
+            .filter_map(|c| seed((w, h), c % columns, c / columns, self.spacing_px, &usable));
         let query = |at: [f32; 2]| {
             let z = frame.depth[(at[0] as usize, at[1] as usize)];
             let p = frame.camera.unproject(at[0].into(), at[1].into(), z.into());
-            Query { frame: index, xyz: [p.x as f32, p.y as f32, p.z as f32] }
+            Query {
+                frame: index,
+                xyz: [p.x as f32, p.y as f32, p.z as f32],
+            }
         };
         Ok(seeds.map(query).collect())
     }
@@ -146,7 +166,9 @@ impl QueryGrid {
 /// At most `most` of them, everywhere alike.
 pub(crate) fn thinned<T: Clone>(all: &[T], most: usize) -> Vec<T> {
     let count = all.len().min(most);
-    (0..count).map(|k| all[k * all.len() / count].clone()).collect()
+    (0..count)
+        .map(|k| all[k * all.len() / count].clone())
+        .collect()
 }
 
 /// The pixel of a cell that is nearest to its middle among the `usable` ones.
@@ -159,7 +181,8 @@ pub(crate) fn seed(
 ) -> Option<[f32; 2]> {
     let (left, top) = (column * cell, row * cell);
     let (mx, my) = (2 * left + cell - 1, 2 * top + cell - 1);
-    let pixels = (top..(top + cell).min(h)).flat_map(|y| (left..(left + cell).min(w)).map(move |x| (x, y)));
+    let pixels =
+        (top..(top + cell).min(h)).flat_map(|y| (left..(left + cell).min(w)).map(move |x| (x, y)));
     pixels
         .filter(|&(x, y)| usable(x, y))
         .min_by_key(|&(x, y)| (2 * x).abs_diff(mx).pow(2) + (2 * y).abs_diff(my).pow(2))
@@ -168,5 +191,8 @@ pub(crate) fn seed(
 
 /// The pixel that holds a place of the image.
 pub(crate) fn nearest(at: [f32; 2]) -> (usize, usize) {
-    ((at[0] + 0.5).max(0.0) as usize, (at[1] + 0.5).max(0.0) as usize)
+    (
+        (at[0] + 0.5).max(0.0) as usize,
+        (at[1] + 0.5).max(0.0) as usize,
+    )
 }

@@ -1,4 +1,5 @@
-//! The iPhone scenes of DyCheck, and the scenes of Nerfies and HyperNeRF that DyCheck republished in the same layout.
+//! The iPhone scenes of DyCheck, and the scenes of Nerfies and HyperNeRF that DyCheck republished
+//! in the same layout.
 //!
 //! ```text
 //! dataset.json            tells the format
@@ -10,16 +11,20 @@
 //! rgb/Fx/ID.png           shrunk F times; depth/Fx/ID.npy z-depth [h][w][1], 0 where unknown; covisible/Fx/val/ID.png ([`covisible`])
 //! ```
 //!
-//! Source: `dycheck/geometry/camera.py`, `dycheck/datasets/{nerfies,iphone}.py` of KAIR-BAIR/dycheck.
+//! Source: `dycheck/geometry/camera.py`, `dycheck/datasets/{nerfies,iphone}.py` of
+//! KAIR-BAIR/dycheck.
 //!
-//! The training video is what camera 0 took of the train split, in order of time; the test views are all of the val split within
-//! its time. Axes are OpenCV's there too; `orientation` is inverted. World units stay those of `position`: neither `center`
-//! nor `scale` is applied. Intrinsics are of factor 1 and shrink with the images. Depth may be in millimetres while places are in metres
-//! (the authors' page says so, their code takes both as equal): the unit is the one that puts the median of depth between `near` and
-//! `far`.
+//! The training video is what camera 0 took of the train split, in order of time; the test views
+//! are all of the val split within its time. Axes are OpenCV's there too; `orientation` is
+//! inverted. World units stay those of `position`: neither `center` nor `scale` is applied.
+//! Intrinsics are of factor 1 and shrink with the images. Depth may be in millimetres while places
+//! are in metres (the authors' page says so, their code takes both as equal): the unit is the one
+//! that puts the median of depth between `near` and `far`.
 
 use crate::dataset::depth::{self, read_depth};
-use crate::dataset::files::{DEFAULT_FPS, Inside, StoredImage, fps_of, given_fps, resized, stored_image};
+use crate::dataset::files::{
+    DEFAULT_FPS, Inside, StoredImage, fps_of, given_fps, resized, stored_image,
+};
 use crate::dataset::{Distortion, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
 use crate::files::json;
@@ -37,9 +42,9 @@ pub(crate) fn detect(path: &Path) -> bool {
     path.join("dataset.json").is_file() && path.join("camera").is_dir() && path.join("rgb").is_dir()
 }
 
-/// Where the mask of co-visibility of a test view lies: white where enough training frames see the place. `name` is that of the view's
-/// frame, `factor` what [`ImportOptions::factor`] was (2 where it was not given). The file need not exist: Nerfies and HyperNeRF come
-/// without.
+/// Where the mask of co-visibility of a test view lies: white where enough training frames see the
+/// place. `name` is that of the view's frame, `factor` what [`ImportOptions::factor`] was (2 where
+/// it was not given). The file need not exist: Nerfies and HyperNeRF come without.
 #[must_use]
 pub fn covisible(root: &Path, name: &str, factor: Option<u32>) -> PathBuf {
     let factor = factor.unwrap_or(DEFAULT_FACTOR);
@@ -51,7 +56,11 @@ struct Extra {
     fps: Option<f64>,
 }
 
-pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+pub(crate) fn list(
+    path: &Path,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Listing, ReadError> {
     let factor = options.factor.unwrap_or(DEFAULT_FACTOR);
     let folder = path.join(format!("rgb/{factor}x"));
     if !folder.is_dir() {
@@ -73,7 +82,10 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         steps: (train.len() - 1) as f64,
         unit,
     };
-    let within: Vec<&Id> = test.iter().filter(|id| (first..=last).contains(&id.time)).collect();
+    let within: Vec<&Id> = test
+        .iter()
+        .filter(|id| (first..=last).contains(&id.time))
+        .collect();
     if within.len() < test.len() {
         progress.warn(&format!(
             "{} of {} held-out views are before the first or after the last training frame and are left out",
@@ -86,8 +98,14 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         time_frames: train.len(),
         duration_s: Some((last - first) / fps),
         metric: reader.unit.is_some_and(|u| u.metric),
-        train: train.iter().map(|id| reader.frame(id, None)).collect::<Result<_, _>>()?,
-        test: within.iter().map(|id| reader.frame(id, Some(id.camera))).collect::<Result<_, _>>()?,
+        train: train
+            .iter()
+            .map(|id| reader.frame(id, None))
+            .collect::<Result<_, _>>()?,
+        test: within
+            .iter()
+            .map(|id| reader.frame(id, Some(id.camera)))
+            .collect::<Result<_, _>>()?,
         tracks: None,
     })
 }
@@ -95,9 +113,16 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadError> {
     let file = path.join("extra.json");
     let given = given_fps(options).at(path)?;
-    let own = if file.is_file() { json::<Extra>(&file)?.fps } else { None };
+    let own = if file.is_file() {
+        json::<Extra>(&file)?.fps
+    } else {
+        None
+    };
     if own.or(given).is_none() {
-        progress.warn(&format!("{} does not state its frame rate; 30 frames per second are assumed", path.display()));
+        progress.warn(&format!(
+            "{} does not state its frame rate; 30 frames per second are assumed",
+            path.display()
+        ));
     }
     let fps = own.or(given).unwrap_or(DEFAULT_FPS);
     fps_of("fps", fps).at(&file)
@@ -119,11 +144,15 @@ impl Reader<'_> {
     fn frame(&self, id: &Id, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {
         let file = self.root.join(format!("camera/{}.json", id.name));
         let (mut lens, c2w) = read_camera(&file)?;
-        let image = self.root.join(format!("rgb/{}x/{}.png", self.factor, id.name));
+        let image = self
+            .root
+            .join(format!("rgb/{}x/{}.png", self.factor, id.name));
         let image = self.inside.file(image)?;
         let StoredImage { size, rgb } = stored_image(&image)?;
         lens.intrinsics = resized(&lens.intrinsics, size).at(&image)?;
-        let depth = self.root.join(format!("depth/{}x/{}.npy", self.factor, id.name));
+        let depth = self
+            .root
+            .join(format!("depth/{}x/{}.npy", self.factor, id.name));
         let depth = self.inside.file(depth)?;
         let unit = self.unit.filter(|_| depth.is_file());
         let t = ((id.time - self.first) / self.step).clamp(0.0, self.steps);
@@ -163,12 +192,18 @@ fn one() -> f64 {
 fn read_camera(path: &Path) -> Result<(Lens, Se3<f64>), ReadError> {
     let file: File = json(path)?;
     if file.skew != 0.0 {
-        let what = format!("skew is {}; only cameras whose pixels are rectangles are read", file.skew);
+        let what = format!(
+            "skew is {}; only cameras whose pixels are rectangles are read",
+            file.skew
+        );
         return Err(Fault::unsupported(what, "undistort the images").at(path));
     }
     let whole = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let [Some(width), Some(height)] = file.image_size.map(whole) else {
-        let what = format!("image_size is {:?}; [width, height] in pixels was expected", file.image_size);
+        let what = format!(
+            "image_size is {:?}; [width, height] in pixels was expected",
+            file.image_size
+        );
         return Err(Fault::bad(what, HINT).at(path));
     };
     let [k1, k2, k3] = file.radial_distortion;
@@ -188,7 +223,8 @@ fn read_camera(path: &Path) -> Result<(Lens, Se3<f64>), ReadError> {
     // orientation is world to camera: its transpose turns camera to world
     let o = file.orientation;
     let turned = [0, 1, 2].map(|i| [o[0][i], o[1][i], o[2][i]]);
-    let c2w = pose::of_rotation(turned, file.position).map_err(|e| e.within(path, "orientation and position"))?;
+    let c2w = pose::of_rotation(turned, file.position)
+        .map_err(|e| e.within(path, "orientation and position"))?;
     Ok((lens, c2w))
 }
 
@@ -220,15 +256,23 @@ struct Names {
 pub(super) fn read_split(root: &Path, progress: &dyn Progress) -> Result<Split, ReadError> {
     let file = root.join("splits/train.json");
     if !file.is_file() {
-        let hint = "give a scene of DyCheck, or one of Nerfies or HyperNeRF with the splits of DyCheck";
+        let hint =
+            "give a scene of DyCheck, or one of Nerfies or HyperNeRF with the splits of DyCheck";
         return Err(Fault::missing("splits/train.json", hint).at(root));
     }
     let val = root.join("splits/val.json");
     let mut train = of_split(&file)?;
-    let test = if val.is_file() { of_split(&val)? } else { Vec::new() };
+    let test = if val.is_file() {
+        of_split(&val)?
+    } else {
+        Vec::new()
+    };
     for id in train.iter().chain(&test) {
         // a name becomes part of a path
-        if !(1..=MAX_NAME).contains(&id.name.len()) || id.name.contains(['/', '\\']) || id.name.contains("..") {
+        if !(1..=MAX_NAME).contains(&id.name.len())
+            || id.name.contains(['/', '\\'])
+            || id.name.contains("..")
+        {
             let short: String = id.name.chars().take(MAX_NAME).collect();
             let what = format!("{short:?} is not the name of a frame");
             return Err(Fault::bad(what, "correct the list of frames").at(&file));
@@ -249,7 +293,10 @@ pub(super) fn read_split(root: &Path, progress: &dyn Progress) -> Result<Split, 
     }
     train.sort_by(|a, b| a.time.total_cmp(&b.time));
     if let Some(pair) = train.windows(2).find(|pair| pair[0].time == pair[1].time) {
-        let what = format!("{} and {} are of one moment and one camera", pair[0].name, pair[1].name);
+        let what = format!(
+            "{} and {} are of one moment and one camera",
+            pair[0].name, pair[1].name
+        );
         return Err(Fault::bad(what, "give each training frame a moment of its own").at(&file));
     }
     let trains: HashSet<&str> = train.iter().map(|id| id.name.as_str()).collect();
@@ -265,11 +312,23 @@ fn of_split(file: &Path) -> Result<Vec<Id>, ReadError> {
     let n = names.frame_names.len();
     if names.camera_ids.len() != n || names.time_ids.len() != n {
         let (c, t) = (names.camera_ids.len(), names.time_ids.len());
-        let what = format!("{n} frame_names, {c} camera_ids and {t} time_ids; as many of each were expected");
+        let what = format!(
+            "{n} frame_names, {c} camera_ids and {t} time_ids; as many of each were expected"
+        );
         return Err(Fault::bad(what, "export the split again").at(file));
     }
-    let ids = names.frame_names.into_iter().zip(names.camera_ids).zip(names.time_ids);
-    Ok(ids.map(|((name, camera), time)| Id { name, camera, time: time.into() }).collect())
+    let ids = names
+        .frame_names
+        .into_iter()
+        .zip(names.camera_ids)
+        .zip(names.time_ids);
+    Ok(ids
+        .map(|((name, camera), time)| Id {
+            name,
+            camera,
+            time: time.into(),
+        })
+        .collect())
 }
 
 /// Maps that are examined.
@@ -341,5 +400,8 @@ pub(super) fn unit_of_depth(
         ));
     }
     let scene_units = if milli { MILLI } else { 1.0 };
-    Ok(Some(Unit { scene_units, metric: median * scene_units < NO_METRES }))
+    Ok(Some(Unit {
+        scene_units,
+        metric: median * scene_units < NO_METRES,
+    }))
 }

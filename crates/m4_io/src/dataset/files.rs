@@ -1,7 +1,7 @@
 //! The files of a source: which of them may be read, and what several formats share.
 //!
-//! Members of a zip archive or of the folder that it was unpacked to; a folder or a video as images of known size, and lenses that
-//! fit them; frames per second and times in frames.
+//! Members of a zip archive or of the folder that it was unpacked to; a folder or a video as images
+//! of known size, and lenses that fit them; frames per second and times in frames.
 
 use super::{FrameSource, ImportOptions};
 use crate::error::AtPath;
@@ -24,7 +24,11 @@ pub(crate) struct Inside(Bounds);
 impl Inside {
     /// Of the source in `folder` whose images may lie where the options say.
     pub(crate) fn of(folder: &Path, options: &ImportOptions) -> Self {
-        Self(Bounds::new(options.reach, folder, options.images.as_deref()))
+        Self(Bounds::new(
+            options.reach,
+            folder,
+            options.images.as_deref(),
+        ))
     }
 
     /// Of what the user named beside the source: files in the folder `named`, or that file.
@@ -50,7 +54,8 @@ impl Inside {
     }
 }
 
-/// An archive, or the folder that it was unpacked to. Reading takes one member at a time from an archive.
+/// An archive, or the folder that it was unpacked to. Reading takes one member at a time from an
+/// archive.
 #[derive(Debug)]
 pub(crate) enum Members {
     Folder {
@@ -62,7 +67,8 @@ pub(crate) enum Members {
 }
 
 impl Members {
-    /// Opens it; the directory of an archive is read here. Of a folder files are read that are `inside`.
+    /// Opens it; the directory of an archive is read here. Of a folder files are read that are
+    /// `inside`.
     pub(crate) fn open(path: &Path, inside: Inside) -> Result<Self, Fault> {
         if path.is_dir() {
             let root = path.to_path_buf();
@@ -71,8 +77,12 @@ impl Members {
         let file = files::open(path)?;
         let bytes = file.metadata()?.len();
         let archive = ZipArchive::new(BufReader::new(file));
-        let archive = archive
-            .map_err(|e| Fault::bad(format!("it is not a zip archive, or a damaged one ({e})"), "copy it again"))?;
+        let archive = archive.map_err(|e| {
+            Fault::bad(
+                format!("it is not a zip archive, or a damaged one ({e})"),
+                "copy it again",
+            )
+        })?;
         Ok(Self::Zip(Mutex::new(archive), bytes))
     }
 
@@ -84,7 +94,8 @@ impl Members {
                 if !inner.is_dir() {
                     return Ok(Vec::new());
                 }
-                let names = std::fs::read_dir(inner)?.map(|e| Ok(e?.file_name().to_string_lossy().into_owned()));
+                let names = std::fs::read_dir(inner)?
+                    .map(|e| Ok(e?.file_name().to_string_lossy().into_owned()));
                 names.collect()
             }
             Self::Zip(archive, _) => {
@@ -103,7 +114,11 @@ impl Members {
     pub(crate) fn has(&self, name: &str) -> Result<bool, Fault> {
         match self {
             Self::Folder { root, .. } => Ok(root.join(name).is_file()),
-            Self::Zip(archive, _) => Ok(archive.lock().map_err(|_| poisoned())?.index_for_name(name).is_some()),
+            Self::Zip(archive, _) => Ok(archive
+                .lock()
+                .map_err(|_| poisoned())?
+                .index_for_name(name)
+                .is_some()),
         }
     }
 
@@ -117,12 +132,18 @@ impl Members {
                 if !path.is_file() {
                     return Ok(None);
                 }
-                files::open(&path)?.take(limit_bytes + 1).read_to_end(&mut out)?;
+                files::open(&path)?
+                    .take(limit_bytes + 1)
+                    .read_to_end(&mut out)?;
             }
             Self::Zip(archive, bytes) => {
                 let mut archive = archive.lock().map_err(|_| poisoned())?;
-                let unpacked =
-                    |e: String| Fault::bad(format!("{name} cannot be unpacked ({e})"), "copy the archive again");
+                let unpacked = |e: String| {
+                    Fault::bad(
+                        format!("{name} cannot be unpacked ({e})"),
+                        "copy the archive again",
+                    )
+                };
                 let mut member = match archive.by_name(name) {
                     Ok(member) => member,
                     Err(ZipError::FileNotFound) => return Ok(None),
@@ -132,7 +153,10 @@ impl Members {
                     return Err(too_large(member.size()));
                 }
                 within_memory(name, member.size(), *bytes)?;
-                (&mut member).take(limit_bytes + 1).read_to_end(&mut out).map_err(|e| unpacked(e.to_string()))?;
+                (&mut member)
+                    .take(limit_bytes + 1)
+                    .read_to_end(&mut out)
+                    .map_err(|e| unpacked(e.to_string()))?;
             }
         }
         if out.len() as u64 > limit_bytes {
@@ -143,7 +167,10 @@ impl Members {
 }
 
 fn poisoned() -> Fault {
-    Fault::bad("another thread failed while it read the archive", "read it again")
+    Fault::bad(
+        "another thread failed while it read the archive",
+        "read it again",
+    )
 }
 
 /// An image that is not decoded yet.
@@ -162,7 +189,8 @@ pub(crate) struct StoredImages {
     pub times_s: Option<Vec<f64>>,
 }
 
-/// A PNG or JPEG file, as it is stored: an orientation in its EXIF block is not applied, as no tool that computes cameras does.
+/// A PNG or JPEG file, as it is stored: an orientation in its EXIF block is not applied, as no tool
+/// that computes cameras does.
 pub(crate) fn stored_image(path: &Path) -> Result<StoredImage, ReadError> {
     let size = image::size(path)?;
     let file = path.to_path_buf();
@@ -180,7 +208,10 @@ pub(crate) fn read_images(
     inside.check(path).at(path)?;
     if path.is_dir() {
         let files = inside.files(video::image_files(path)?)?;
-        let all = files.iter().map(|file| stored_image(file)).collect::<Result<_, _>>()?;
+        let all = files
+            .iter()
+            .map(|file| stored_image(file))
+            .collect::<Result<_, _>>()?;
         return Ok(StoredImages { all, times_s: None });
     }
     let as_stored = VideoOptions {
@@ -190,20 +221,38 @@ pub(crate) fn read_images(
         ..VideoOptions::default()
     };
     let clip = video::read(path, &as_stored, progress)?;
-    clip.warnings.iter().for_each(|warning| progress.warn(warning));
+    clip.warnings
+        .iter()
+        .for_each(|warning| progress.warn(warning));
     let times_s = clip.frames.iter().map(|frame| frame.time_s).collect();
-    let all =
-        clip.frames.into_iter().map(|frame| StoredImage { size: frame.rgb.size(), rgb: FrameSource::held(frame.rgb) });
-    Ok(StoredImages { all: all.collect(), times_s: Some(times_s) })
+    let all = clip.frames.into_iter().map(|frame| StoredImage {
+        size: frame.rgb.size(),
+        rgb: FrameSource::held(frame.rgb),
+    });
+    Ok(StoredImages {
+        all: all.collect(),
+        times_s: Some(times_s),
+    })
 }
 
 /// The pinhole `fx fy cx cy`, pixels, of images of that size.
 pub(crate) fn pinhole([fx, fy, cx, cy]: [f64; 4], (width, height): (usize, usize)) -> Intrinsics {
-    Intrinsics { width, height, fx, fy, cx, cy }
+    Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    }
 }
 
-/// The lens of a camera for its images at another size: a side is rounded to a whole pixel, nothing is cut off or turned.
-pub(crate) fn resized(k: &Intrinsics, (width, height): (usize, usize)) -> Result<Intrinsics, Fault> {
+/// The lens of a camera for its images at another size: a side is rounded to a whole pixel, nothing
+/// is cut off or turned.
+pub(crate) fn resized(
+    k: &Intrinsics,
+    (width, height): (usize, usize),
+) -> Result<Intrinsics, Fault> {
     let slack = 1.0 / width.min(height).max(1) as f64 + 1e-9;
     // by how much more the width is scaled than the height
     let aspect = (width as f64 / k.width as f64) / (height as f64 / k.height as f64);
@@ -237,8 +286,13 @@ pub(crate) fn fps_of(field: &str, fps: f64) -> Result<f64, Fault> {
     Ok(fps)
 }
 
-/// Seconds from the first of `frames` frames to the last, at the frames per second of the options, else 30 with a warning.
-pub(crate) fn duration_s(frames: usize, options: &ImportOptions, progress: &dyn Progress) -> Option<f64> {
+/// Seconds from the first of `frames` frames to the last, at the frames per second of the options,
+/// else 30 with a warning.
+pub(crate) fn duration_s(
+    frames: usize,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Option<f64> {
     let fps = options.fps.unwrap_or_else(|| {
         progress.warn(&format!(
             "the source does not state its frame rate; {DEFAULT_FPS} frames per second are assumed (fps)"
@@ -248,7 +302,8 @@ pub(crate) fn duration_s(frames: usize, options: &ImportOptions, progress: &dyn 
     Some((frames.max(1) - 1) as f64 / fps)
 }
 
-/// The same of a clip whose last frame is at `last_s` seconds, where it is known and the options do not say otherwise.
+/// The same of a clip whose last frame is at `last_s` seconds, where it is known and the options do
+/// not say otherwise.
 pub(crate) fn duration_of(
     last_s: Option<f64>,
     frames: usize,
@@ -261,9 +316,13 @@ pub(crate) fn duration_of(
     }
 }
 
-/// Moments of each frame, in order and of any unit, as places in frames `0 ..= n - 1`, and the time from the first to the last.
+/// Moments of each frame, in order and of any unit, as places in frames `0 ..= n - 1`, and the time
+/// from the first to the last.
 pub(crate) fn in_frames(moments: &[f64]) -> (Vec<f64>, f64) {
-    let (first, last) = (moments.first().copied().unwrap_or(0.0), moments.last().copied().unwrap_or(0.0));
+    let (first, last) = (
+        moments.first().copied().unwrap_or(0.0),
+        moments.last().copied().unwrap_or(0.0),
+    );
     let (n, span) = (moments.len().max(1) as f64 - 1.0, last - first);
     let passes = span > 0.0;
     if !passes {

@@ -3,7 +3,8 @@
 use crate::{Fault, range};
 use m4_core::{Intrinsics, Plane, RgbImage};
 
-/// How a lens bends rays, from normalised pinhole coordinates `(x, y) = (X / Z, Y / Z)` to those that the pixels have.
+/// How a lens bends rays, from normalised pinhole coordinates `(x, y) = (X / Z, Y / Z)` to those
+/// that the pixels have.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Distortion {
     /// A pinhole.
@@ -16,7 +17,8 @@ pub enum Distortion {
         /// `p1 p2`.
         tangential: [f64; 2],
     },
-    /// OpenCV's fisheye: the angle `a` from the axis becomes `a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)`.
+    /// OpenCV's fisheye: the angle `a` from the axis becomes
+    /// `a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)`.
     Fisheye {
         /// `k1 k2 k3 k4`.
         k: [f64; 4],
@@ -30,10 +32,14 @@ impl Distortion {
         if [k1, k2, k3, p1, p2] == [0.0; 5] {
             return Self::None;
         }
-        Self::Brown { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential: [p1, p2] }
+        Self::Brown {
+            radial: [k1, k2, k3, 0.0, 0.0, 0.0],
+            tangential: [p1, p2],
+        }
     }
 
-    /// Where the ray through `(x, y)` of a pinhole arrives behind this lens, normalised coordinates.
+    /// Where the ray through `(x, y)` of a pinhole arrives behind this lens, normalised
+    /// coordinates.
     #[must_use]
     pub fn distorted(&self, x: f64, y: f64) -> [f64; 2] {
         match *self {
@@ -45,7 +51,10 @@ impl Distortion {
                 let up = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
                 let down = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
                 let s = up / down;
-                [x * s + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * s + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y]
+                [
+                    x * s + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                    y * s + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+                ]
             }
             Self::Fisheye { k } => {
                 let r = x.hypot(y);
@@ -65,7 +74,9 @@ impl Distortion {
     pub fn is_finite(&self) -> bool {
         match self {
             Self::None => true,
-            Self::Brown { radial, tangential } => radial.iter().chain(tangential).all(|v| v.is_finite()),
+            Self::Brown { radial, tangential } => {
+                radial.iter().chain(tangential).all(|v| v.is_finite())
+            }
             Self::Fisheye { k } => k.iter().all(|v| v.is_finite()),
         }
     }
@@ -84,17 +95,24 @@ impl Lens {
     /// A lens without distortion.
     #[must_use]
     pub fn pinhole(intrinsics: Intrinsics) -> Self {
-        Self { intrinsics, distortion: Distortion::None }
+        Self {
+            intrinsics,
+            distortion: Distortion::None,
+        }
     }
 
-    /// Refuses sizes, focal lengths and principal points out of range, and coefficients that are no numbers.
+    /// Refuses sizes, focal lengths and principal points out of range, and coefficients that are no
+    /// numbers.
     pub(crate) fn check(&self) -> Result<(), Fault> {
         let hint = "correct the camera in the source";
         if let Some(what) = range::of_lens(&self.intrinsics) {
             return Err(Fault::bad(what, hint));
         }
         if !self.distortion.is_finite() {
-            return Err(Fault::bad(format!("a NaN or infinite coefficient: {:?}", self.distortion), hint));
+            return Err(Fault::bad(
+                format!("a NaN or infinite coefficient: {:?}", self.distortion),
+                hint,
+            ));
         }
         Ok(())
     }
@@ -105,8 +123,14 @@ impl Lens {
         if (k.width, k.height) == (width, height) {
             return Ok(());
         }
-        let what = format!("its image is {width} x {height} but its camera is of {} x {} pixels", k.width, k.height);
-        Err(Fault::bad(what, "use the images that the cameras were computed from"))
+        let what = format!(
+            "its image is {width} x {height} but its camera is of {} x {} pixels",
+            k.width, k.height
+        );
+        Err(Fault::bad(
+            what,
+            "use the images that the cameras were computed from",
+        ))
     }
 }
 
@@ -119,23 +143,40 @@ const BORDER: usize = 64;
 #[derive(Debug, Clone)]
 pub struct Undistort {
     from: Lens,
-    /// The pinhole that comes out: same size and principal point, the focal lengths stretched so that every pixel has a source.
+    /// The pinhole that comes out: same size and principal point, the focal lengths stretched so
+    /// that every pixel has a source.
     pub to: Intrinsics,
 }
 
 impl Undistort {
-    /// `None` for a lens without distortion; fails where no pinhole can show the image (the distortion is not monotone).
+    /// `None` for a lens without distortion; fails where no pinhole can show the image (the
+    /// distortion is not monotone).
     pub fn new(lens: &Lens) -> Result<Option<Self>, Fault> {
         if lens.distortion == Distortion::None {
             return Ok(None);
         }
-        let stretched =
-            |s: f64| Intrinsics { fx: lens.intrinsics.fx * s, fy: lens.intrinsics.fy * s, ..lens.intrinsics };
-        let whole = |s: f64| Self { from: *lens, to: stretched(s) }.covers();
+        let stretched = |s: f64| Intrinsics {
+            fx: lens.intrinsics.fx * s,
+            fy: lens.intrinsics.fy * s,
+            ..lens.intrinsics
+        };
+        let whole = |s: f64| {
+            Self {
+                from: *lens,
+                to: stretched(s),
+            }
+            .covers()
+        };
         let (mut low, mut high) = (0.25, MAX_STRETCH);
         if !whole(high) {
-            let what = format!("the distortion {:?} bends rays back within the image", lens.distortion);
-            return Err(Fault::unsupported(what, "undistort the images with the tool that made them"));
+            let what = format!(
+                "the distortion {:?} bends rays back within the image",
+                lens.distortion
+            );
+            return Err(Fault::unsupported(
+                what,
+                "undistort the images with the tool that made them",
+            ));
         }
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
@@ -145,13 +186,20 @@ impl Undistort {
                 low = middle;
             }
         }
-        Ok(Some(Self { from: *lens, to: stretched(high) }))
+        Ok(Some(Self {
+            from: *lens,
+            to: stretched(high),
+        }))
     }
 
-    /// Pixel of the stored image, corner-based, that shows what is at corner-based `(u, v)` of the new one.
+    /// Pixel of the stored image, corner-based, that shows what is at corner-based `(u, v)` of the
+    /// new one.
     fn source(&self, u: f64, v: f64) -> [f64; 2] {
         let (to, k) = (&self.to, &self.from.intrinsics);
-        let [x, y] = self.from.distortion.distorted((u - to.cx) / to.fx, (v - to.cy) / to.fy);
+        let [x, y] = self
+            .from
+            .distortion
+            .distorted((u - to.cx) / to.fx, (v - to.cy) / to.fy);
         [k.fx * x + k.cx, k.fy * y + k.cy]
     }
 
@@ -162,19 +210,24 @@ impl Undistort {
         let along = |i: usize| i as f64 / BORDER as f64;
         (0..=BORDER).all(|i| {
             let (u, v) = (along(i) * w, along(i) * h);
-            [[u, 0.0], [u, h], [0.0, v], [w, v]].into_iter().all(|[u, v]| {
-                let mut last = 0.0;
-                inside(self.source(u, v))
-                    && (1..=16).all(|k| {
-                        let part = f64::from(k) / 16.0;
-                        let [x, y] = [(u - self.to.cx) / self.to.fx * part, (v - self.to.cy) / self.to.fy * part];
-                        let [x, y] = self.from.distortion.distorted(x, y);
-                        let r = x.hypot(y);
-                        let grows = r >= last;
-                        last = r;
-                        grows
-                    })
-            })
+            [[u, 0.0], [u, h], [0.0, v], [w, v]]
+                .into_iter()
+                .all(|[u, v]| {
+                    let mut last = 0.0;
+                    inside(self.source(u, v))
+                        && (1..=16).all(|k| {
+                            let part = f64::from(k) / 16.0;
+                            let [x, y] = [
+                                (u - self.to.cx) / self.to.fx * part,
+                                (v - self.to.cy) / self.to.fy * part,
+                            ];
+                            let [x, y] = self.from.distortion.distorted(x, y);
+                            let r = x.hypot(y);
+                            let grows = r >= last;
+                            last = r;
+                            grows
+                        })
+                })
         })
     }
 
@@ -184,7 +237,10 @@ impl Undistort {
         let (w, h) = image.size();
         Plane::from_fn(w, h, |x, y| {
             let [u, v] = self.source(x as f64 + 0.5, y as f64 + 0.5);
-            let (u, v) = ((u - 0.5).clamp(0.0, (w - 1) as f64), (v - 0.5).clamp(0.0, (h - 1) as f64));
+            let (u, v) = (
+                (u - 0.5).clamp(0.0, (w - 1) as f64),
+                (v - 0.5).clamp(0.0, (h - 1) as f64),
+            );
             let (x0, y0) = (u.floor() as usize, v.floor() as usize);
             let (x1, y1) = ((x0 + 1).min(w - 1), (y0 + 1).min(h - 1));
             let (a, b) = (u - x0 as f64, v - y0 as f64);
@@ -201,7 +257,10 @@ impl Undistort {
     #[must_use]
     pub fn nearest<T: Copy>(&self, map: &Plane<T>) -> Plane<T> {
         let (w, h) = map.size();
-        let (sx, sy) = (self.to.width as f64 / w as f64, self.to.height as f64 / h as f64);
+        let (sx, sy) = (
+            self.to.width as f64 / w as f64,
+            self.to.height as f64 / h as f64,
+        );
         let pixel = |u: f64, n: usize| (u.floor().max(0.0) as usize).min(n - 1);
         Plane::from_fn(w, h, |x, y| {
             let [u, v] = self.source((x as f64 + 0.5) * sx, (y as f64 + 0.5) * sy);
@@ -217,7 +276,10 @@ mod tests {
     use m4_core::Intrinsics;
 
     fn lens(distortion: Distortion) -> Lens {
-        Lens { intrinsics: Intrinsics::centred(120, 80, 100.0), distortion }
+        Lens {
+            intrinsics: Intrinsics::centred(120, 80, 100.0),
+            distortion,
+        }
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! The listing of a source: what a format knows before anything large is read, and what files do not say. It is loaded as a capture:
-//! everything decoded, in parallel, within a memory limit.
+//! The listing of a source: what a format knows before anything large is read, and what files do
+//! not say. It is loaded as a capture: everything decoded, in parallel, within a memory limit.
 
 use super::Lens;
 use super::lens::Undistort;
@@ -8,7 +8,8 @@ use crate::files::in_parallel;
 use crate::reach::Reach;
 use crate::{Fault, ReadError, range, shortened};
 use m4_core::{
-    Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Plane, Progress, RgbImage, Se3, Tracks,
+    Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Plane, Progress,
+    RgbImage, Se3, Tracks,
 };
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -33,7 +34,12 @@ impl<T> FrameSource<T> {
         let held = Mutex::new(Some(value));
         Self::new(move || {
             let taken = held.lock().ok().and_then(|mut held| held.take());
-            taken.ok_or_else(|| Fault::bad("an image or map was asked for twice", "list the source again"))
+            taken.ok_or_else(|| {
+                Fault::bad(
+                    "an image or map was asked for twice",
+                    "list the source again",
+                )
+            })
         })
     }
 
@@ -77,8 +83,25 @@ pub struct ListedFrame {
 impl ListedFrame {
     /// A training frame of an image alone.
     #[must_use]
-    pub fn new(name: String, lens: Lens, c2w: Se3<f64>, t: f64, rgb: FrameSource<RgbImage>) -> Self {
-        Self { name, lens, c2w, t, rgb, depth: None, mask: None, motion: None, instances: None, camera_index: None }
+    pub fn new(
+        name: String,
+        lens: Lens,
+        c2w: Se3<f64>,
+        t: f64,
+        rgb: FrameSource<RgbImage>,
+    ) -> Self {
+        Self {
+            name,
+            lens,
+            c2w,
+            t,
+            rgb,
+            depth: None,
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        }
     }
 }
 
@@ -100,10 +123,18 @@ pub struct Listing {
 }
 
 impl Listing {
-    /// A training video without held-out views and tracks, of `time_frames` moments, in no known unit.
+    /// A training video without held-out views and tracks, of `time_frames` moments, in no known
+    /// unit.
     #[must_use]
     pub fn of_video(train: Vec<ListedFrame>, time_frames: usize, duration_s: Option<f64>) -> Self {
-        Self { train, test: Vec::new(), time_frames, duration_s, metric: false, tracks: None }
+        Self {
+            train,
+            test: Vec::new(),
+            time_frames,
+            duration_s,
+            metric: false,
+            tracks: None,
+        }
     }
 }
 
@@ -116,25 +147,29 @@ pub struct Imported {
     pub test: Option<Capture>,
 }
 
-/// What the files of a source do not say, and how much of them is read. Each format uses what it has a use for.
+/// What the files of a source do not say, and how much of them is read. Each format uses what it
+/// has a use for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ImportOptions {
     /// Frames per second, above 0, where the files have no clock; `None` takes 30 and says so.
     pub fps: Option<f64>,
-    /// Folder or video of the images, where they lie elsewhere; `None` looks where the format has them.
+    /// Folder or video of the images, where they lie elsewhere; `None` looks where the format has
+    /// them.
     #[serde(rename = "images")]
     pub images: Option<PathBuf>,
     /// Folder of depth maps, one per frame in the order of names (PNG of 16 bits, EXR, npy).
     pub depth: Option<PathBuf>,
     /// Folder of masks, one per frame in the order of names.
     pub masks: Option<PathBuf>,
-    /// By what the images of a data set are shrunk (DyCheck: `rgb/2x`); `None` takes what the protocols use.
+    /// By what the images of a data set are shrunk (DyCheck: `rgb/2x`); `None` takes what the
+    /// protocols use.
     pub factor: Option<u32>,
-    /// Bytes that the decoded frames (8 per pixel) may take before reading is refused. Default 4 GiB, as of a capture.
+    /// Bytes that the decoded frames (8 per pixel) may take before reading is refused. Default 4
+    /// GiB, as of a capture.
     pub max_memory_bytes: u64,
-    /// Which images, maps and tracks are read: those in the folder of the source and in what the options above name, or
-    /// any. Not a setting: only the command line can allow more.
+    /// Which images, maps and tracks are read: those in the folder of the source and in what the
+    /// options above name, or any. Not a setting: only the command line can allow more.
     #[serde(skip)]
     pub reach: Reach,
 }
@@ -153,7 +188,8 @@ impl Default for ImportOptions {
     }
 }
 
-/// Decodes what `listing` names, where eight pixels take `bytes_per_8_pixels`; `path` is the source, for messages.
+/// Decodes what `listing` names, where eight pixels take `bytes_per_8_pixels`; `path` is the
+/// source, for messages.
 pub(crate) fn load(
     path: &Path,
     listing: Listing,
@@ -161,43 +197,71 @@ pub(crate) fn load(
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Imported, ReadError> {
-    let Listing { train, test, time_frames, duration_s, metric, tracks } = listing;
+    let Listing {
+        train,
+        test,
+        time_frames,
+        duration_s,
+        metric,
+        tracks,
+    } = listing;
     if train.is_empty() {
-        return Err(Fault::missing("every frame of the training video", "give a source with frames").at(path));
+        return Err(Fault::missing(
+            "every frame of the training video",
+            "give a source with frames",
+        )
+        .at(path));
     }
     if let Some(tracks) = tracks.as_ref().filter(|t| t.frames() != train.len()) {
-        let what = format!("tracks of {} frames where {} were expected", tracks.frames(), train.len());
+        let what = format!(
+            "tracks of {} frames where {} were expected",
+            tracks.frames(),
+            train.len()
+        );
         return Err(Fault::bad(what, "give tracks of the same clip").at(path));
     }
     check_rate(time_frames, duration_s).at(path)?;
     warn_of_repetitions(path, &train, progress);
     check_memory(&train, &test, bytes_per_8_pixels, options).at(path)?;
-    let capture = |frames: Vec<ListedFrame>, phase, tracks: Option<Tracks>| -> Result<Capture, ReadError> {
-        Ok(Capture {
-            frames: in_parallel(
-                phase,
-                &frames,
-                progress,
-                || Fault::Cancelled.at(path),
-                |i, frame| one(frame, time_frames).map_err(|e| e.within(path, format!("frame {i} ({})", frame.name))),
-            )?,
-            time_frames,
-            duration_s,
-            metric,
-            tracks,
-        })
-    };
+    let capture =
+        |frames: Vec<ListedFrame>, phase, tracks: Option<Tracks>| -> Result<Capture, ReadError> {
+            Ok(Capture {
+                frames: in_parallel(
+                    phase,
+                    &frames,
+                    progress,
+                    || Fault::Cancelled.at(path),
+                    |i, frame| {
+                        one(frame, time_frames)
+                            .map_err(|e| e.within(path, format!("frame {i} ({})", frame.name)))
+                    },
+                )?,
+                time_frames,
+                duration_s,
+                metric,
+                tracks,
+            })
+        };
     Ok(Imported {
         train: capture(train, "read frames", tracks)?,
-        test: if test.is_empty() { None } else { Some(capture(test, "read held-out views", None)?) },
+        test: if test.is_empty() {
+            None
+        } else {
+            Some(capture(test, "read held-out views", None)?)
+        },
     })
 }
 
 /// Names the image that is listed most often, where one is more than once.
 fn warn_of_repetitions(path: &Path, train: &[ListedFrame], progress: &dyn Progress) {
     let mut times = HashMap::new();
-    train.iter().for_each(|frame| *times.entry(frame.name.as_str()).or_insert(0) += 1);
-    let most = train.iter().map(|frame| (times[frame.name.as_str()], &frame.name)).max_by_key(|(n, _)| *n);
+    train
+        .iter()
+        .for_each(|frame| *times.entry(frame.name.as_str()).or_insert(0) += 1);
+    let most = train
+        .iter()
+        .map(|frame| (times[frame.name.as_str()], &frame.name))
+        .max_by_key(|(n, _)| *n);
     if let Some((n, name)) = most.filter(|(n, _)| *n > 1) {
         progress.warn(&format!(
             "{} lists the image {} {n} times, {} images for {} frames; each frame should have its own",
@@ -215,7 +279,13 @@ fn check_rate(time_frames: usize, duration_s: Option<f64>) -> Result<(), Fault> 
     match duration_s.filter(|s| *s != 0.0 && steps > 0.0) {
         Some(s) => {
             let field = format!("the frame rate, {steps} steps in {} s,", range::short(s));
-            range::check(&field, steps / s, &range::FPS, "frames per second", "correct the times in the source")
+            range::check(
+                &field,
+                steps / s,
+                &range::FPS,
+                "frames per second",
+                "correct the times in the source",
+            )
         }
         None => Ok(()),
     }
@@ -227,14 +297,24 @@ fn check_memory(
     bytes_per_8_pixels: u64,
     options: &ImportOptions,
 ) -> Result<(), Fault> {
-    let pixels = |f: &ListedFrame| (f.lens.intrinsics.width as u64).saturating_mul(f.lens.intrinsics.height as u64);
-    let total = train.iter().chain(test).map(pixels).fold(0u64, u64::saturating_add);
+    let pixels = |f: &ListedFrame| {
+        (f.lens.intrinsics.width as u64).saturating_mul(f.lens.intrinsics.height as u64)
+    };
+    let total = train
+        .iter()
+        .chain(test)
+        .map(pixels)
+        .fold(0u64, u64::saturating_add);
     let needed_bytes = total.saturating_mul(bytes_per_8_pixels).div_ceil(8);
     if needed_bytes <= options.max_memory_bytes {
         return Ok(());
     }
     let what = format!("a clip of {} frames", train.len() + test.len());
-    Err(Fault::too_large(&what, needed_bytes, options.max_memory_bytes))
+    Err(Fault::too_large(
+        &what,
+        needed_bytes,
+        options.max_memory_bytes,
+    ))
 }
 
 fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, Fault> {
@@ -264,7 +344,10 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, Fault> {
     }
     Ok(CaptureFrame {
         name: frame.name.clone(),
-        camera: Camera { intrinsics, c2w: frame.c2w },
+        camera: Camera {
+            intrinsics,
+            c2w: frame.c2w,
+        },
         t: frame.t,
         rgb,
         depth,

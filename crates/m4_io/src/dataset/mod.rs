@@ -10,9 +10,9 @@
 //!      -> load: everything decoded in parallel within a memory limit, distortion removed -> Imported
 //! ```
 //!
-//! A format is one file or folder: its parser, and at the top the conventions that it converts. What it lists is in ours
-//! (OpenCV axes, camera to world, z-depth, principal points measured from the image's corner), and everything that follows is
-//! the same for all.
+//! A format is one file or folder: its parser, and at the top the conventions that it converts.
+//! What it lists is in ours (OpenCV axes, camera to world, z-depth, principal points measured from
+//! the image's corner), and everything that follows is the same for all.
 //!
 //! Files are not trusted: counts are compared with the size of the file before memory is taken.
 
@@ -70,13 +70,33 @@ type List = fn(&Path, &ImportOptions, &dyn Progress) -> Result<Listing, ReadErro
 
 /// Name and reader of each format, in the order of [`SourceFormat`].
 const ROWS: &[(SourceFormat, &str, Detect, List)] = &[
-    (SourceFormat::Dycheck, "dycheck", dycheck::detect, dycheck::list),
+    (
+        SourceFormat::Dycheck,
+        "dycheck",
+        dycheck::detect,
+        dycheck::list,
+    ),
     (SourceFormat::Nvidia, "nvidia", nvidia::detect, nvidia::list),
-    (SourceFormat::Record3d, "record3d", record3d::detect, record3d::list),
+    (
+        SourceFormat::Record3d,
+        "record3d",
+        record3d::detect,
+        record3d::list,
+    ),
     (SourceFormat::Colmap, "colmap", colmap::detect, colmap::list),
-    (SourceFormat::Nerfstudio, "nerfstudio", nerfstudio::detect, nerfstudio::list),
+    (
+        SourceFormat::Nerfstudio,
+        "nerfstudio",
+        nerfstudio::detect,
+        nerfstudio::list,
+    ),
     (SourceFormat::Vipe, "vipe", vipe::detect, vipe::list),
-    (SourceFormat::Megasam, "megasam", megasam::detect, megasam::list),
+    (
+        SourceFormat::Megasam,
+        "megasam",
+        megasam::detect,
+        megasam::list,
+    ),
 ];
 
 impl SourceFormat {
@@ -88,7 +108,9 @@ impl SourceFormat {
     /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
-        ROWS.iter().find(|row| row.0 == self).map_or("", |row| row.1)
+        ROWS.iter()
+            .find(|row| row.0 == self)
+            .map_or("", |row| row.1)
     }
 }
 
@@ -98,7 +120,8 @@ pub fn detect(path: &Path) -> Option<SourceFormat> {
     ROWS.iter().find(|row| (row.2)(path)).map(|row| row.0)
 }
 
-/// Reads a file or folder of that format; depth and masks that the options name take the place of its own.
+/// Reads a file or folder of that format; depth and masks that the options name take the place of
+/// its own.
 pub fn read(
     path: &Path,
     format: SourceFormat,

@@ -1,4 +1,5 @@
-//! NVIDIA Dynamic Scenes, and any clip in the layout of LLFF: `poses_bounds.npy` beside folders of images.
+//! NVIDIA Dynamic Scenes, and any clip in the layout of LLFF: `poses_bounds.npy` beside folders of
+//! images.
 //!
 //! ```text
 //! poses_bounds.npy       [n][17]: 3 x 5 by rows (rotation, centre, height width focal), then the nearest and farthest depth in view
@@ -9,13 +10,16 @@
 //! mv_images/TTTTT/       held-out views camNN.jpg: camera NN - 1 at time TTTTT (NSFF), but for the view that trains
 //! ```
 //!
-//! Columns of the rotation are the camera's down, right and back in the world; in our axes (right, down, forward) they are
-//! columns 1, 0 and minus 2. The principal point is the middle. Images may be of any size; height, width and focal length shrink with
-//! them. Disparity of the network is known up to scale and shift: both are chosen for each frame so that its 0.1 and 99.9 percent
-//! quantiles are those of the bounds, which is how COLMAP's points made these (`imgs2poses.py` of Fyusion/LLFF); `progress`
-//! reports this. Sources: `load_llff.py` of zhengqili/Neural-Scene-Flow-Fields, `dataLoader/nvidia.py` of facebookresearch/robust-dynrf.
+//! Columns of the rotation are the camera's down, right and back in the world; in our axes (right,
+//! down, forward) they are columns 1, 0 and minus 2. The principal point is the middle. Images may
+//! be of any size; height, width and focal length shrink with them. Disparity of the network is
+//! known up to scale and shift: both are chosen for each frame so that its 0.1 and 99.9 percent
+//! quantiles are those of the bounds, which is how COLMAP's points made these (`imgs2poses.py` of
+//! Fyusion/LLFF); `progress` reports this. Sources: `load_llff.py` of
+//! zhengqili/Neural-Scene-Flow-Fields, `dataLoader/nvidia.py` of facebookresearch/robust-dynrf.
 //!
-//! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
+//! `v000_t000` is the view of the first training image: results compare only if both or neither
+//! count it.
 
 use super::depth::known;
 use super::files::{Inside, StoredImage, given_fps, resized, stored_image};
@@ -32,21 +36,27 @@ const EXTENSIONS: &[&str] = &["png", "jpg", "jpeg"];
 
 /// Detects a folder of the format.
 pub(crate) fn detect(path: &Path) -> bool {
-    path.join("poses_bounds.npy").is_file() && (path.join("images").is_dir() || path.join("images_2").is_dir())
+    path.join("poses_bounds.npy").is_file()
+        && (path.join("images").is_dir() || path.join("images_2").is_dir())
 }
 
-pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+pub(crate) fn list(
+    path: &Path,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Listing, ReadError> {
     let poses = read_bounds(&path.join("poses_bounds.npy"))?;
     let n = poses.len();
     let fps = given_fps(options).at(path)?;
     let folder = image_folder(path, options)?;
     let inside = Inside::of(path, options);
     let images = inside.files(one_a_frame(&folder, EXTENSIONS, "images", n)?)?;
-    let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadError> {
-        let folder = path.join(name);
-        let listed = || inside.files(one_a_frame(&folder, extensions, what, n)?);
-        folder.is_dir().then(listed).transpose()
-    };
+    let optional =
+        |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadError> {
+            let folder = path.join(name);
+            let listed = || inside.files(one_a_frame(&folder, extensions, what, n)?);
+            folder.is_dir().then(listed).transpose()
+        };
     let masks = optional("motion_masks", &["png"], "masks")?;
     let disparity = optional("disp", &["npy"], "maps of disparity")?;
     if disparity.is_some() && options.depth.is_none() {
@@ -55,18 +65,23 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             path.display()
         ));
     }
-    let train = images.iter().zip(&poses).enumerate().map(|(i, (image, pose))| {
-        let mut frame = frame(image, pose, i as f64, None)?;
-        if let Some(file) = masks.as_ref().map(|masks| masks[i].clone()) {
-            frame.mask = Some(mask(file));
-        }
-        if let Some(file) = disparity.as_ref().map(|maps| maps[i].clone()) {
-            let (near, far) = (pose.near, pose.far);
-            frame.depth =
-                Some(FrameSource::new(move || depth_of_disparity(&file, near, far).map_err(|e| e.of_file(&file))));
-        }
-        Ok(frame)
-    });
+    let train = images
+        .iter()
+        .zip(&poses)
+        .enumerate()
+        .map(|(i, (image, pose))| {
+            let mut frame = frame(image, pose, i as f64, None)?;
+            if let Some(file) = masks.as_ref().map(|masks| masks[i].clone()) {
+                frame.mask = Some(mask(file));
+            }
+            if let Some(file) = disparity.as_ref().map(|maps| maps[i].clone()) {
+                let (near, far) = (pose.near, pose.far);
+                frame.depth = Some(FrameSource::new(move || {
+                    depth_of_disparity(&file, near, far).map_err(|e| e.of_file(&file))
+                }));
+            }
+            Ok(frame)
+        });
     let train = train.collect::<Result<_, ReadError>>()?;
     let test = views(path, n)?.into_iter().map(|view| {
         let pose = &poses[view.camera];
@@ -102,19 +117,27 @@ struct Pose {
 fn read_bounds(path: &Path) -> Result<Vec<Pose>, ReadError> {
     let array = Numbers::read(path, MAX_POSE_BYTES).at(path)?;
     if array.shape.len() != 2 || array.shape[0] == 0 || array.shape[1] != WIDTH {
-        let what = format!("an array of shape {:?}; [cameras, 17] was expected", array.shape);
+        let what = format!(
+            "an array of shape {:?}; [cameras, 17] was expected",
+            array.shape
+        );
         return Err(Fault::bad(what, HINT).at(path));
     }
     let rows = array.values.as_chunks::<WIDTH>().0.iter().enumerate();
-    rows.map(|(i, row)| pose_of(row).map_err(|e| e.within(path, format!("camera {i}")))).collect()
+    rows.map(|(i, row)| pose_of(row).map_err(|e| e.within(path, format!("camera {i}"))))
+        .collect()
 }
 
 fn pose_of(row: &[f64; WIDTH]) -> Result<Pose, Fault> {
-    let [down, right, back, place, [height, width, focal]] = [0, 1, 2, 3, 4].map(|j| [0, 1, 2].map(|i| row[5 * i + j]));
+    let [down, right, back, place, [height, width, focal]] =
+        [0, 1, 2, 3, 4].map(|j| [0, 1, 2].map(|i| row[5 * i + j]));
     let c2w = pose::of_rotation([0, 1, 2].map(|i| [right[i], down[i], -back[i]]), place)?;
     let side = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let (Some(w), Some(h)) = (side(width), side(height)) else {
-        return Err(Fault::bad(format!("images of {width} x {height} pixels"), HINT));
+        return Err(Fault::bad(
+            format!("images of {width} x {height} pixels"),
+            HINT,
+        ));
     };
     let intrinsics = Intrinsics::centred(w, h, focal);
     Lens::pinhole(intrinsics).check()?;
@@ -123,9 +146,16 @@ fn pose_of(row: &[f64; WIDTH]) -> Result<Pose, Fault> {
         range::check(field, depth, &range::DEPTH, "scene units", HINT)?;
     }
     if far <= near {
-        return Err(Fault::bad(format!("depth from {near} to {far}; near < far was expected"), HINT));
+        return Err(Fault::bad(
+            format!("depth from {near} to {far}; near < far was expected"),
+            HINT,
+        ));
     }
-    Ok(Pose { camera: Camera { intrinsics, c2w }, near, far })
+    Ok(Pose {
+        camera: Camera { intrinsics, c2w },
+        near,
+        far,
+    })
 }
 
 /// The folder of images.
@@ -138,14 +168,26 @@ fn image_folder(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadErr
     };
     named.iter().find(|p| p.is_dir()).cloned().ok_or_else(|| {
         let what = named[0].display().to_string();
-        Fault::missing(what, "choose a factor whose images exist (the option factor)").at(path)
+        Fault::missing(
+            what,
+            "choose a factor whose images exist (the option factor)",
+        )
+        .at(path)
     })
 }
 
-fn frame(image: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadError> {
+fn frame(
+    image: &Path,
+    pose: &Pose,
+    t: f64,
+    camera_index: Option<u32>,
+) -> Result<ListedFrame, ReadError> {
     let StoredImage { size, rgb } = stored_image(image)?;
     let k = resized(&pose.camera.intrinsics, size).at(image)?;
-    Ok(ListedFrame { camera_index, ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb) })
+    Ok(ListedFrame {
+        camera_index,
+        ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb)
+    })
 }
 
 /// Largest map of disparity in memory.
@@ -159,20 +201,32 @@ const FARTHEST: f64 = 4.0;
 fn depth_of_disparity(path: &Path, near: f64, far: f64) -> Result<CompactDepth, Fault> {
     let array = Numbers::read(path, MAX_BYTES)?;
     let (h, w) = array.map_size()?;
-    let mut sorted: Vec<f64> = array.values.iter().copied().filter(|v| v.is_finite()).collect();
+    let mut sorted: Vec<f64> = array
+        .values
+        .iter()
+        .copied()
+        .filter(|v| v.is_finite())
+        .collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let [low, high] = QUANTILES.map(|q| quantile(&sorted, q));
     let differs = high > low;
     if !differs {
         let what = "its disparity is the same everywhere";
-        return Err(Fault::bad(what, "give maps of a network, or leave the folder disp away"));
+        return Err(Fault::bad(
+            what,
+            "give maps of a network, or leave the folder disp away",
+        ));
     }
     let a = (1.0 / near - 1.0 / far) / (high - low);
     let b = 1.0 / far - a * low;
     let least = 1.0 / (FARTHEST * far);
     let map: DepthMap = Plane::from_fn(w, h, |x, y| {
         let disparity = a * array.values[y * w + x] + b;
-        if disparity.is_finite() { known((1.0 / disparity.max(least)) as f32) } else { 0.0 }
+        if disparity.is_finite() {
+            known((1.0 / disparity.max(least)) as f32)
+        } else {
+            0.0
+        }
     });
     Ok(map.into())
 }
@@ -222,7 +276,9 @@ fn views(root: &Path, n: usize) -> Result<Vec<View>, ReadError> {
         // of the cameras around, in turn, one took the training image
         let cameras = files.len().max(1);
         for file in files {
-            let number = stem(&file).strip_prefix("cam").and_then(|n| n.parse::<usize>().ok());
+            let number = stem(&file)
+                .strip_prefix("cam")
+                .and_then(|n| n.parse::<usize>().ok());
             let Some(camera) = number.and_then(|n| n.checked_sub(1)) else {
                 let what = "its name is not camNN, the number of a camera from 1";
                 return Err(Fault::bad(what, "name the views as NSFF does").at(&file));
@@ -245,6 +301,9 @@ fn checked(view: View, n: usize) -> Result<View, ReadError> {
     if view.camera < n && view.time < n {
         return Ok(view);
     }
-    let what = format!("camera {} at time {} where there are {n} cameras and moments", view.camera, view.time);
+    let what = format!(
+        "camera {} at time {} where there are {n} cameras and moments",
+        view.camera, view.time
+    );
     Err(Fault::bad(what, "give views of the cameras in poses_bounds.npy").at(&view.file))
 }

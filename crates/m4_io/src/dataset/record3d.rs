@@ -1,4 +1,5 @@
-//! Record3D's `.r3d`: a zip archive (or the folder that it was unpacked to) of images, depth and poses of an iPhone.
+//! Record3D's `.r3d`: a zip archive (or the folder that it was unpacked to) of images, depth and
+//! poses of an iPhone.
 //!
 //! ```text
 //! metadata        JSON: w h (of K), dw dh (of depth), fps, K (9 numbers, columns first), perFrameIntrinsicCoeffs [n][fx fy cx cy],
@@ -8,12 +9,13 @@
 //! rgbd/N.conf     0, 1 or 2, bytes [dh][dw], LZFSE; depth where it is 0 is dropped
 //! ```
 //!
-//! Camera axes are ARKit's (x right, y up, z back): y and z turn round here. The principal point is measured from the corner.
+//! Camera axes are ARKit's (x right, y up, z back): y and z turn round here. The principal point is
+//! measured from the corner.
 //!
-//! Images are taken as they are stored: poses, `K` and depth are those of the stored rows and columns, whatever an EXIF block says
-//! about turning. Images that a tool turned for good (their longer side is not that of `w` and `h`) are refused. `K` is of
-//! `w x h` and grows with the image. Source: the notes on the format in marek-simonik/record3d, `record3d_utils.py` of
-//! nerfstudio.
+//! Images are taken as they are stored: poses, `K` and depth are those of the stored rows and
+//! columns, whatever an EXIF block says about turning. Images that a tool turned for good (their
+//! longer side is not that of `w` and `h`) are refused. `K` is of `w x h` and grows with the image.
+//! Source: the notes on the format in marek-simonik/record3d, `record3d_utils.py` of nerfstudio.
 
 use super::depth::known;
 use super::files::{Inside, Members, fps_of, given_fps, in_frames, pinhole, resized};
@@ -39,11 +41,17 @@ pub(crate) fn detect(path: &Path) -> bool {
     if path.is_dir() {
         return path.join("metadata").is_file() && path.join("rgbd").is_dir();
     }
-    let named = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("r3d"));
+    let named = path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("r3d"));
     named && first_bytes::<2>(path) == b"PK"
 }
 
-pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+pub(crate) fn list(
+    path: &Path,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Listing, ReadError> {
     let members = Arc::new(Members::open(path, Inside::of(path, options)).at(path)?);
     let metadata = Metadata::read(&members, path)?;
     let numbers = image_numbers(&members).at(path)?;
@@ -52,7 +60,11 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         return Err(Fault::missing("every rgbd/N.jpg", HINT).at(path));
     };
     if last >= poses {
-        return Err(Fault::bad(format!("the image rgbd/{last}.jpg has no pose: metadata has {poses}"), HINT).at(path));
+        return Err(Fault::bad(
+            format!("the image rgbd/{last}.jpg has no pose: metadata has {poses}"),
+            HINT,
+        )
+        .at(path));
     }
     if numbers.len() < poses {
         progress.warn(&format!(
@@ -79,18 +91,30 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
                 .has(&format!("rgbd/{n}.depth"))
                 .map_err(place)?
                 .then(|| FrameSource::new(move || sensor_depth(&for_depth, n, dw, dh))),
-            ..ListedFrame::new(format!("rgbd/{n}.jpg"), Lens::pinhole(intrinsics), c2w, t, rgb)
+            ..ListedFrame::new(
+                format!("rgbd/{n}.jpg"),
+                Lens::pinhole(intrinsics),
+                c2w,
+                t,
+                rgb,
+            )
         })
     });
     let train = frames.collect::<Result<_, _>>()?;
-    Ok(Listing { metric: true, ..Listing::of_video(train, numbers.len(), duration_s) })
+    Ok(Listing {
+        metric: true,
+        ..Listing::of_video(train, numbers.len(), duration_s)
+    })
 }
 
 /// The numbers of the images, in order.
 fn image_numbers(members: &Members) -> Result<Vec<usize>, Fault> {
     let names = members.names("rgbd")?;
-    let mut numbers: Vec<usize> =
-        names.iter().filter_map(|n| n.strip_suffix(".jpg")).filter_map(|n| n.parse().ok()).collect();
+    let mut numbers: Vec<usize> = names
+        .iter()
+        .filter_map(|n| n.strip_suffix(".jpg"))
+        .filter_map(|n| n.parse().ok())
+        .collect();
     numbers.sort_unstable();
     numbers.dedup();
     Ok(numbers)
@@ -133,12 +157,19 @@ impl Metadata {
         let bytes = members.read("metadata", MAX_METADATA_BYTES).at(path)?;
         let bytes = bytes.ok_or_else(|| Fault::missing("metadata", HINT).at(path))?;
         let bad = |what: String| Fault::bad(what, HINT).within(path, "metadata");
-        let text = utf8(&bytes).map_err(|(at, fault)| fault.within(path, format!("metadata, byte {at}")))?;
+        let text = utf8(&bytes)
+            .map_err(|(at, fault)| fault.within(path, format!("metadata, byte {at}")))?;
         let metadata: Self = parse_json(text).at(&path.join("metadata"))?;
         let n = metadata.poses.len();
         for (key, count) in [
-            ("perFrameIntrinsicCoeffs", metadata.coefficients.as_ref().map(Vec::len)),
-            ("frameTimestamps", metadata.timestamps.as_ref().map(Vec::len)),
+            (
+                "perFrameIntrinsicCoeffs",
+                metadata.coefficients.as_ref().map(Vec::len),
+            ),
+            (
+                "frameTimestamps",
+                metadata.timestamps.as_ref().map(Vec::len),
+            ),
         ] {
             // an empty list stands for none
             if let Some(count) = count.filter(|&c| c != n && c != 0) {
@@ -147,13 +178,18 @@ impl Metadata {
         }
         let k = &metadata.k;
         if [k[1], k[2], k[3], k[5]] != [0.0; 4] || k[8] != 1.0 {
-            return Err(bad(format!("K is {k:?}; fx 0 0, 0 fy 0, cx cy 1 was expected")));
+            return Err(bad(format!(
+                "K is {k:?}; fx 0 0, 0 fy 0, cx cy 1 was expected"
+            )));
         }
         let side = |v: usize| (1..=1 << 16).contains(&v);
         let (dw, dh) = metadata.depth_size();
         let sensed = |v: usize| (1..=MAX_SENSOR_SIDE).contains(&v);
         if !(side(metadata.w) && side(metadata.h) && sensed(dw) && sensed(dh)) {
-            return Err(bad(format!("images of {} x {} and depth of {dw} x {dh} pixels", metadata.w, metadata.h)));
+            return Err(bad(format!(
+                "images of {} x {} and depth of {dw} x {dh} pixels",
+                metadata.w, metadata.h
+            )));
         }
         if (dw > dh) != (metadata.w > metadata.h) {
             return Err(bad(format!(
@@ -167,14 +203,20 @@ impl Metadata {
     /// Width and height of depth maps.
     fn depth_size(&self) -> (usize, usize) {
         let (long, short) = SENSOR;
-        let (w, h) = if self.w > self.h { (long, short) } else { (short, long) };
+        let (w, h) = if self.w > self.h {
+            (long, short)
+        } else {
+            (short, long)
+        };
         (self.dw.unwrap_or(w), self.dh.unwrap_or(h))
     }
 
     /// Of images of `w x h`.
     fn intrinsics(&self, n: usize) -> Result<Intrinsics, Fault> {
         let own = self.coefficients.as_ref().and_then(|c| c.get(n));
-        let numbers = own.copied().unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);
+        let numbers = own
+            .copied()
+            .unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);
         let k = pinhole(numbers, (self.w, self.h));
         Lens::pinhole(k).check()?;
         Ok(k)
@@ -189,9 +231,14 @@ impl Metadata {
         Ok(Axes::OpenGl.to_opencv(&arkit))
     }
 
-    /// When `frames` were taken, 0 to the number of frames - 1, and the seconds from the first to the last: by their time stamps,
-    /// else evenly.
-    fn clock(&self, frames: &[usize], fps: Option<f64>, path: &Path) -> Result<(Vec<f64>, Option<f64>), ReadError> {
+    /// When `frames` were taken, 0 to the number of frames - 1, and the seconds from the first to
+    /// the last: by their time stamps, else evenly.
+    fn clock(
+        &self,
+        frames: &[usize],
+        fps: Option<f64>,
+        path: &Path,
+    ) -> Result<(Vec<f64>, Option<f64>), ReadError> {
         let bad = |what: String| Err(Fault::bad(what, HINT).within(path, "metadata"));
         let steps = (frames.len() - 1) as f64;
         if let Some(fps) = fps {
@@ -199,12 +246,22 @@ impl Metadata {
         }
         let stamps = self.timestamps.as_ref().filter(|s| !s.is_empty());
         let Some(stamps) = stamps else {
-            return Ok(((0..frames.len()).map(|i| i as f64).collect(), fps.map(|fps| steps / fps)));
+            return Ok((
+                (0..frames.len()).map(|i| i as f64).collect(),
+                fps.map(|fps| steps / fps),
+            ));
         };
-        let times: Vec<f64> = frames.iter().filter_map(|&n| stamps.get(n)).copied().collect();
-        let apart = times.windows(2).all(|p| p[1] > p[0]) && times.iter().all(|t| range::SECONDS.contains(t));
+        let times: Vec<f64> = frames
+            .iter()
+            .filter_map(|&n| stamps.get(n))
+            .copied()
+            .collect();
+        let apart = times.windows(2).all(|p| p[1] > p[0])
+            && times.iter().all(|t| range::SECONDS.contains(t));
         if times.len() != frames.len() || !apart {
-            return bad("frameTimestamps do not grow from frame to frame, or are no seconds".into());
+            return bad(
+                "frameTimestamps do not grow from frame to frame, or are no seconds".into(),
+            );
         }
         let (t, span_s) = in_frames(&times);
         Ok((t, Some(span_s)))
@@ -241,12 +298,18 @@ fn unpacked(members: &Members, name: &str, expected: usize) -> Result<Option<Vec
     let mut out = Vec::new();
     let mut decoder = LzfseRingDecoder::default();
     // one byte more than there may be
-    let read = decoder.reader_bytes(&packed).take(expected as u64 + 1).read_to_end(&mut out);
+    let read = decoder
+        .reader_bytes(&packed)
+        .take(expected as u64 + 1)
+        .read_to_end(&mut out);
     if let Err(e) = read {
         return Err(Fault::bad(format!("{name} cannot be unpacked ({e})"), HINT));
     }
     if out.len() != expected {
-        return Err(Fault::bad(format!("{name} does not unpack to the {expected} bytes that metadata says"), HINT));
+        return Err(Fault::bad(
+            format!("{name} does not unpack to the {expected} bytes that metadata says"),
+            HINT,
+        ));
     }
     Ok(Some(out))
 }

@@ -1,4 +1,5 @@
-//! Depth and masks from another tool for a clip of any format, one file a training frame, in natural order of names.
+//! Depth and masks from another tool for a clip of any format, one file a training frame, in
+//! natural order of names.
 //!
 //! ```text
 //! options.depth    .exr  first of the channels Z, depth, Y, R    .npy  [h][w]    .png  16 bits, steps of 0.001 scene units
@@ -13,7 +14,8 @@ use crate::{Fault, ReadError, image};
 use m4_core::CompactMask;
 use std::path::{Path, PathBuf};
 
-/// Gives the training frames of `listing` the depth and masks that `options` name, one map for each frame.
+/// Gives the training frames of `listing` the depth and masks that `options` name, one map for each
+/// frame.
 pub(super) fn attach(listing: &mut Listing, options: &ImportOptions) -> Result<(), ReadError> {
     let frames = &mut listing.train;
     let files = |folder: &Path, extensions: &[&str], what: &str, n: usize| {
@@ -45,7 +47,9 @@ pub fn read_mask(file: &Path) -> Result<CompactMask, ReadError> {
     // numbers of 16 bits first: as colours the small ones would be black
     Ok(match image::read_ids(file) {
         Ok(numbers) => numbers.to_mask(),
-        Err(_) => image::read_rgb(file)?.map(|rgb| if *rgb == [0; 3] { 0 } else { 255 }).into(),
+        Err(_) => image::read_rgb(file)?
+            .map(|rgb| if *rgb == [0; 3] { 0 } else { 255 })
+            .into(),
     })
 }
 
@@ -62,11 +66,19 @@ pub(super) fn one_a_frame(
     }
     let end = match (files.first(), files.last()) {
         (Some(first), Some(last)) => {
-            let name = |p: &Path| p.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            let name = |p: &Path| {
+                p.file_name()
+                    .map(|n| n.to_string_lossy().into_owned())
+                    .unwrap_or_default()
+            };
             format!(" ({} to {})", name(first), name(last))
         }
         _ => format!(" (names that end in .{})", extensions.join(", .")),
     };
     let what = format!("{} {what}{end} for {frames} training frames", files.len());
-    Err(Fault::bad(what, "give one for each training frame, in the order of their names").at(folder))
+    Err(Fault::bad(
+        what,
+        "give one for each training frame, in the order of their names",
+    )
+    .at(folder))
 }

@@ -10,11 +10,12 @@
 //! flow, vipe                 are not read
 //! ```
 //!
-//! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal points are taken as they are, from the
-//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see
-//! [`super::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance
-//! but those whose phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their
-//! place in time.
+//! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal
+//! points are taken as they are, from the image's corner: ViPE starts from half of the width and
+//! counts pixels from their centres, as MegaSaM does (see [`super::megasam`]). The dynamic part is
+//! what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
+//! phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and
+//! keep their place in time.
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
 
@@ -49,18 +50,28 @@ fn run_of(file: &Path) -> Option<(PathBuf, String)> {
     let run = folder.parent()?;
     let name = file.file_stem()?.to_str()?.to_owned();
     let fits = folder.file_name()? == "pose" && file.extension()? == "npz";
-    (fits && run.join("intrinsics").join(format!("{name}.npz")).is_file()).then(|| (run.to_path_buf(), name))
+    (fits && run.join("intrinsics").join(format!("{name}.npz")).is_file())
+        .then(|| (run.to_path_buf(), name))
 }
 
 /// Names of the clips of a run, in order.
 fn names(run: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(run.join("pose")).into_iter().flatten().flatten();
-    let mut names: Vec<String> = entries.filter_map(|entry| run_of(&entry.path()).map(|(_, name)| name)).collect();
+    let entries = std::fs::read_dir(run.join("pose"))
+        .into_iter()
+        .flatten()
+        .flatten();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| run_of(&entry.path()).map(|(_, name)| name))
+        .collect();
     names.sort();
     names
 }
 
-pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+pub(super) fn list(
+    path: &Path,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Listing, ReadError> {
     given_fps(options).at(path)?;
     let (run, name) = match run_of(path) {
         Some(found) => found,
@@ -70,11 +81,19 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
                 [one] => (path.to_path_buf(), one.clone()),
                 [] => {
                     let hint = "give the folder of a run, with pose, intrinsics and rgb";
-                    return Err(Fault::missing("pose/NAME.npz with its intrinsics/NAME.npz", hint).at(path));
+                    return Err(
+                        Fault::missing("pose/NAME.npz with its intrinsics/NAME.npz", hint).at(path),
+                    );
                 }
                 several => {
-                    let what = format!("the run has {} clips: {}", several.len(), several.join(", "));
-                    return Err(Fault::unsupported(what, "give pose/NAME.npz of one of them").at(path));
+                    let what = format!(
+                        "the run has {} clips: {}",
+                        several.len(),
+                        several.join(", ")
+                    );
+                    return Err(
+                        Fault::unsupported(what, "give pose/NAME.npz of one of them").at(path),
+                    );
                 }
             }
         }
@@ -84,7 +103,10 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let (pose_file, poses) = indexed(&part("pose", &format!("{name}.npz")), 16)?;
     let (lens_file, lenses) = indexed(&part("intrinsics", &format!("{name}.npz")), 4)?;
     pinholes(&part("intrinsics", &format!("{name}_camera.txt")))?;
-    let clip = options.images.clone().unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
+    let clip = options
+        .images
+        .clone()
+        .unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
     if !clip.exists() {
         let hint = "give the clip or the folder of its images (images)";
         return Err(Fault::missing("the clip", hint).at(&clip));
@@ -96,12 +118,18 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             return Ok(None);
         }
         let members = Members::open(&file, inside.clone()).at(&file)?;
-        Ok(Some(Arc::new(Zipped { path: file, members })))
+        Ok(Some(Arc::new(Zipped {
+            path: file,
+            members,
+        })))
     };
     let (depths, masks) = (zipped("depth")?, zipped("mask")?);
     let still = Arc::new(sky(&part("mask", &format!("{name}.txt")))?);
     let time_frames = images.all.len();
-    if let Some((&last, _)) = poses.last_key_value().filter(|(last, _)| **last >= time_frames) {
+    if let Some((&last, _)) = poses
+        .last_key_value()
+        .filter(|(last, _)| **last >= time_frames)
+    {
         let what = format!("it has a pose of frame {last}, but the clip has {time_frames}");
         return Err(Fault::bad(what, "give the clip of this run").at(&pose_file));
     }
@@ -109,18 +137,25 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let duration_s = duration_of(last_s, time_frames, options, progress);
     let mut train = Vec::with_capacity(poses.len());
     for (i, image) in images.all.into_iter().enumerate() {
-        let Some(matrix) = poses.get(&i) else { continue };
+        let Some(matrix) = poses.get(&i) else {
+            continue;
+        };
         let c2w = pose::of_matrix("the matrix", matrix)
             .map_err(|e| e.within(&pose_file, format!("array `data`, frame {i}")))?;
         let k = lenses.get(&i).ok_or_else(|| {
             let hint = "give the files of one run";
-            Fault::missing(format!("the line of frame {i}"), hint).within(&lens_file, "array `inds`")
+            Fault::missing(format!("the line of frame {i}"), hint)
+                .within(&lens_file, "array `inds`")
         })?;
-        let member = |zip: &Option<Arc<Zipped>>, extension: &str| -> Result<Option<Member>, ReadError> {
-            let Some(zip) = zip else { return Ok(None) };
-            let name = format!("{i:05}.{extension}");
-            Ok(zip.members.has(&name).at(&zip.path)?.then(|| Member { zip: Arc::clone(zip), name }))
-        };
+        let member =
+            |zip: &Option<Arc<Zipped>>, extension: &str| -> Result<Option<Member>, ReadError> {
+                let Some(zip) = zip else { return Ok(None) };
+                let name = format!("{i:05}.{extension}");
+                Ok(zip.members.has(&name).at(&zip.path)?.then(|| Member {
+                    zip: Arc::clone(zip),
+                    name,
+                }))
+            };
         let (depth, mask) = (member(&depths, "exr")?, member(&masks, "png")?);
         let k = pinhole([k[0], k[1], k[2], k[3]], image.size);
         train.push(ListedFrame {
@@ -130,34 +165,62 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
                 FrameSource::new(move || {
                     let ids = member.ids()?.to_plane();
                     let (w, h) = ids.size();
-                    Ok(CompactMask::from_fn(w, h, |x, y| ids[(x, y)] != 0 && !still.contains(&ids[(x, y)])))
+                    Ok(CompactMask::from_fn(w, h, |x, y| {
+                        ids[(x, y)] != 0 && !still.contains(&ids[(x, y)])
+                    }))
                 })
             }),
             instances: mask.map(|member| FrameSource::new(move || member.ids())),
-            ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(k), c2w, i as f64, image.rgb)
+            ..ListedFrame::new(
+                format!("{i:05}"),
+                Lens::pinhole(k),
+                c2w,
+                i as f64,
+                image.rgb,
+            )
         });
     }
-    Ok(Listing { metric: true, ..Listing::of_video(train, time_frames, duration_s) })
+    Ok(Listing {
+        metric: true,
+        ..Listing::of_video(train, time_frames, duration_s)
+    })
 }
 
 /// The arrays `data` and `inds`: the `width` numbers of each frame that has some.
 fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f64>>), ReadError> {
     let mut npz = Npz::open(file).at(file)?;
-    let mut array = |name: &str| npz.need(name, MAX_SMALL_BYTES).and_then(Array::numbers).at(file);
-    let (Numbers { shape, values: data, .. }, inds) = (array("data")?, array("inds")?.values);
+    let mut array = |name: &str| {
+        npz.need(name, MAX_SMALL_BYTES)
+            .and_then(Array::numbers)
+            .at(file)
+    };
+    let (
+        Numbers {
+            shape,
+            values: data,
+            ..
+        },
+        inds,
+    ) = (array("data")?, array("inds")?.values);
     if inds.is_empty() || data.len() != inds.len() * width {
         let what = format!(
             "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
             inds.len()
         );
-        return Err(Fault::bad(what, "other camera models have more; run ViPE with a pinhole camera").at(file));
+        return Err(Fault::bad(
+            what,
+            "other camera models have more; run ViPE with a pinhole camera",
+        )
+        .at(file));
     }
     let mut all = BTreeMap::new();
     for (index, numbers) in inds.iter().zip(data.chunks_exact(width)) {
         let whole = *index >= 0.0 && index.fract() == 0.0 && *index < f64::from(u32::MAX);
         if !whole || all.insert(*index as usize, numbers.to_vec()).is_some() {
             let what = format!("it holds {index}, no frame or one that was there before");
-            return Err(Fault::bad(what, "give the file that ViPE wrote").within(file, "array `inds`"));
+            return Err(
+                Fault::bad(what, "give the file that ViPE wrote").within(file, "array `inds`")
+            );
         }
     }
     Ok((file.to_path_buf(), all))
@@ -185,15 +248,26 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadError> {
         return Ok(HashSet::new());
     }
     let mut phrases = HashMap::new();
-    for (i, line) in text(path)?.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
-        let parsed = line.split_once(':').and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
+    for (i, line) in text(path)?
+        .lines()
+        .enumerate()
+        .filter(|(_, l)| !l.trim().is_empty())
+    {
+        let parsed = line
+            .split_once(':')
+            .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
         let (id, phrase) = parsed.ok_or_else(|| {
             let what = format!("{line:?} is not a number with a phrase, such as `1: person`");
-            Fault::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
+            Fault::bad(what, "give the file that ViPE wrote")
+                .within(path, format!("line {}", i + 1))
         })?;
         phrases.insert(id, phrase.trim().to_ascii_lowercase());
     }
-    Ok(phrases.into_iter().filter(|(_, p)| p == "sky").map(|(id, _): (u16, _)| id).collect())
+    Ok(phrases
+        .into_iter()
+        .filter(|(_, p)| p == "sky")
+        .map(|(id, _): (u16, _)| id)
+        .collect())
 }
 
 /// An archive of maps, one per frame.

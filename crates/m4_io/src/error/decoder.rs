@@ -47,8 +47,12 @@ impl DecoderEnd {
     #[must_use]
     pub fn advice(&self) -> &'static str {
         match self {
-            Self::Memory { .. } => "if you trust this clip, raise video.decoder.memory_mb, or make it smaller",
-            Self::Cpu { .. } => "if you trust this clip, raise video.decoder.cpu_seconds, or cut a shorter part",
+            Self::Memory { .. } => {
+                "if you trust this clip, raise video.decoder.memory_mb, or make it smaller"
+            }
+            Self::Cpu { .. } => {
+                "if you trust this clip, raise video.decoder.cpu_seconds, or cut a shorter part"
+            }
             Self::Idle { .. } => {
                 "the clip may be damaged: copy it again; on a slow disk, raise video.decoder.idle_seconds"
             }

@@ -10,7 +10,8 @@ use std::fmt::Display;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The sort of a failure, from which a program chooses its exit code. Every error of this crate has a method `kind` that returns it.
+/// The sort of a failure, from which a program chooses its exit code. Every error of this crate has
+/// a method `kind` that returns it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ErrorKind {
@@ -22,7 +23,8 @@ pub enum ErrorKind {
     Unsupported,
     /// An option has a value that it cannot have (78).
     BadOption,
-    /// Nothing is known against the input: a program that is needed is missing, or was killed, hung, or got too little memory (69).
+    /// Nothing is known against the input: a program that is needed is missing, or was killed,
+    /// hung, or got too little memory (69).
     Unavailable,
     /// An output cannot be made: permissions, a full disk, a path that is in the way (73).
     CannotWrite,
@@ -46,7 +48,8 @@ impl ErrorKind {
     }
 }
 
-/// Why a file or folder could not be read: which one, the place in it, what is wrong, and what to do next.
+/// Why a file or folder could not be read: which one, the place in it, what is wrong, and what to
+/// do next.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "cannot read {}{}: {}",
@@ -185,7 +188,11 @@ impl Fault {
         match self {
             // it is named already
             Self::File(error) if error.path == path => *error,
-            fault => ReadError { path: path.to_path_buf(), place: None, fault },
+            fault => ReadError {
+                path: path.to_path_buf(),
+                place: None,
+                fault,
+            },
         }
     }
 
@@ -193,7 +200,10 @@ impl Fault {
     #[must_use]
     pub fn within(self, path: &Path, place: impl Into<String>) -> ReadError {
         let place = Some(place.into());
-        ReadError { place, ..self.at(path) }
+        ReadError {
+            place,
+            ..self.at(path)
+        }
     }
 }
 
@@ -209,7 +219,8 @@ impl<T, E: Into<Fault>> AtPath<T> for Result<T, E> {
     }
 }
 
-/// Why a file or folder could not be written. What was there before is still there, unless the last renames of a folder failed.
+/// Why a file or folder could not be written. What was there before is still there, unless the last
+/// renames of a folder failed.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {}", path.display(), shortened(fault))]
 #[non_exhaustive]
@@ -243,16 +254,22 @@ pub enum WriteFault {
     #[error("a file with that name exists; choose another name")]
     InTheWay,
     /// A file has the name of a result, and no list of results names it.
-    #[error("no list names it as a result of minute4d, and it would be replaced; move it, or choose another folder")]
+    #[error(
+        "no list names it as a result of minute4d, and it would be replaced; move it, or choose another folder"
+    )]
     Foreign,
     /// The results would take the place of what they are made from.
-    #[error("it is an input of this command and would be replaced; choose another place for the result")]
+    #[error(
+        "it is an input of this command and would be replaced; choose another place for the result"
+    )]
     Input,
     /// Another process uses the folder.
     #[error("another minute4d is using it; wait for it, or choose another folder")]
     Busy,
     /// The encoder got too little memory.
-    #[error("the encoder got too little memory for {0}; end other programs, or choose smaller images")]
+    #[error(
+        "the encoder got too little memory for {0}; end other programs, or choose smaller images"
+    )]
     Memory(String),
     /// The caller asked to stop.
     #[error("stopped; what was written is incomplete and is not taken for a whole")]
@@ -322,15 +339,23 @@ impl WriteError {
 /// Letters of a quotation at most.
 const MAX_LETTERS: usize = 400;
 
-/// What a message quotes of a file, which may be megabytes: whole where it is short, else its start and its end.
+/// What a message quotes of a file, which may be megabytes: whole where it is short, else its start
+/// and its end.
 #[must_use]
 pub fn shortened(part: impl Display) -> String {
     let text = part.to_string();
     if text.chars().nth(MAX_LETTERS).is_none() {
         return text;
     }
-    let start = text.char_indices().nth(MAX_LETTERS / 2).map_or(text.len(), |(at, _)| at);
-    let end = text.char_indices().rev().nth(MAX_LETTERS / 2 - 1).map_or(0, |(at, _)| at);
+    let start = text
+        .char_indices()
+        .nth(MAX_LETTERS / 2)
+        .map_or(text.len(), |(at, _)| at);
+    let end = text
+        .char_indices()
+        .rev()
+        .nth(MAX_LETTERS / 2 - 1)
+        .map_or(0, |(at, _)| at);
     format!("{} ... {}", &text[..start], &text[end..])
 }
 
@@ -341,7 +366,10 @@ mod tests {
 
     #[test]
     fn long_quotes_are_shortened_and_keep_the_advice() {
-        let fault = Fault::bad(format!("{:?} is not a number", "9ü".repeat(100_000)), "correct it");
+        let fault = Fault::bad(
+            format!("{:?} is not a number", "9ü".repeat(100_000)),
+            "correct it",
+        );
         let message = fault.within(Path::new("a.txt"), "line 7").to_string();
         assert!(
             message.starts_with("cannot read a.txt, line 7: \"9ü9ü")
@@ -358,7 +386,10 @@ mod tests {
         }
         let long = format!("start{}end; do this", "9ü".repeat(1_000_000));
         let message = shortened(&long);
-        assert!(message.starts_with("start9ü9ü") && message.ends_with("9üend; do this"), "{message}");
+        assert!(
+            message.starts_with("start9ü9ü") && message.ends_with("9üend; do this"),
+            "{message}"
+        );
         assert_eq!(message.chars().count(), 405);
     }
 }

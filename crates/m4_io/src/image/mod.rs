@@ -1,14 +1,15 @@
 //! Images, depth maps and masks, one file each.
 //!
-//! Reading takes 8- and 16-bit PNG and JPEG; an incomplete or damaged file is an error. Transparent pixels are laid over black. Writing is
-//! atomic; the format follows the file name's extension.
+//! Reading takes 8- and 16-bit PNG and JPEG; an incomplete or damaged file is an error. Transparent
+//! pixels are laid over black. Writing is atomic; the format follows the file name's extension.
 
 mod jpeg;
 mod read;
 mod share;
 
 pub use read::{
-    Photo, decode_rgb, ids_of_bytes, read_depth, read_grey, read_ids, read_mask, read_photo, read_rgb, size,
+    Photo, decode_rgb, ids_of_bytes, read_depth, read_grey, read_ids, read_mask, read_photo,
+    read_rgb, size,
 };
 
 use crate::{WriteError, atomic};
@@ -22,11 +23,17 @@ use std::path::Path;
 const JPEG_QUALITY: u8 = 95;
 
 fn is_jpeg(path: &Path) -> Result<bool, WriteError> {
-    let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    let extension = path
+        .extension()
+        .and_then(|e| e.to_str())
+        .map(str::to_ascii_lowercase);
     match extension.as_deref() {
         Some("png") => Ok(false),
         Some("jpg" | "jpeg") => Ok(true),
-        _ => Err(WriteError::unsupported(path, "the name must end in .png, .jpg or .jpeg")),
+        _ => Err(WriteError::unsupported(
+            path,
+            "the name must end in .png, .jpg or .jpeg",
+        )),
     }
 }
 
@@ -37,7 +44,10 @@ fn save(
     colour: ExtendedColorType,
 ) -> Result<(), WriteError> {
     let (Ok(w), Ok(h)) = (u32::try_from(width), u32::try_from(height)) else {
-        return Err(WriteError::bad(path, format!("{width} x {height} pixels are too many")));
+        return Err(WriteError::bad(
+            path,
+            format!("{width} x {height} pixels are too many"),
+        ));
     };
     let mut file = Vec::new();
     if is_jpeg(path)? {
@@ -51,21 +61,38 @@ fn save(
 
 /// Writes a colour image as PNG or JPEG (quality 95), by the extension.
 pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<(), WriteError> {
-    save(path, image.data().as_flattened(), image.size(), ExtendedColorType::Rgb8)
+    save(
+        path,
+        image.data().as_flattened(),
+        image.size(),
+        ExtendedColorType::Rgb8,
+    )
 }
 
 /// Writes a depth map as a 16-bit PNG of `round(depth / unit)`.
 ///
-/// 0 = unknown is kept, as is every other value that is not above 0; a known depth is stored as 1 to 65535 steps, so depths
-/// outside of that range are moved to its ends. Fails when the extension is not `.png` or the file system refuses.
+/// 0 = unknown is kept, as is every other value that is not above 0; a known depth is stored as 1
+/// to 65535 steps, so depths outside of that range are moved to its ends. Fails when the extension
+/// is not `.png` or the file system refuses.
 pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), WriteError> {
     if is_jpeg(path)? {
-        return Err(WriteError::bad(path, "JPEG cannot store 16-bit depth; use .png"));
+        return Err(WriteError::bad(
+            path,
+            "JPEG cannot store 16-bit depth; use .png",
+        ));
     }
     let steps = |z: f32| {
-        if z > 0.0 { (f64::from(z) / unit).round().clamp(1.0, 65535.0) as u16 } else { 0 }
+        if z > 0.0 {
+            (f64::from(z) / unit).round().clamp(1.0, 65535.0) as u16
+        } else {
+            0
+        }
     };
-    let bytes: Vec<u8> = depth.data().iter().flat_map(|&z| steps(z).to_ne_bytes()).collect();
+    let bytes: Vec<u8> = depth
+        .data()
+        .iter()
+        .flat_map(|&z| steps(z).to_ne_bytes())
+        .collect();
     save(path, &bytes, depth.size(), ExtendedColorType::L16)
 }
 
@@ -83,7 +110,11 @@ pub fn write_ids(path: &Path, ids: &CompactIds) -> Result<(), WriteError> {
     if ids.largest() <= u16::from(u8::MAX) {
         return write_grey(path, &plane.map(|&id| id as u8));
     }
-    let bytes: Vec<u8> = plane.data().iter().flat_map(|id| id.to_ne_bytes()).collect();
+    let bytes: Vec<u8> = plane
+        .data()
+        .iter()
+        .flat_map(|id| id.to_ne_bytes())
+        .collect();
     save(path, &bytes, plane.size(), ExtendedColorType::L16)
 }
 
@@ -104,7 +135,10 @@ mod tests {
         let depth = Plane::from_vec(3, 2, vec![0.0, 1e-9, 1.2344, 65.535, 1e9, f32::NAN]).unwrap();
         write_depth(&path, &depth, 0.001).unwrap();
         let got = read_depth(&path, 0.001).unwrap();
-        assert_eq!(got.to_map().data(), [0.0, 0.001, 1.234, 65.535, 65.535, 0.0]);
+        assert_eq!(
+            got.to_map().data(),
+            [0.0, 0.001, 1.234, 65.535, 65.535, 0.0]
+        );
     }
 
     #[test]
@@ -112,15 +146,28 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         for (name, step) in [("small.png", 15u16), ("large.png", 4000)] {
             let path = dir.path().join(name);
-            let ids = CompactIds::from(&Plane::from_fn(17, 9, |x, y| (x as u16 / 4) * (y as u16 / 3) * step));
+            let ids = CompactIds::from(&Plane::from_fn(17, 9, |x, y| {
+                (x as u16 / 4) * (y as u16 / 3) * step
+            }));
             assert_eq!(ids.largest() > 255, step > 255);
             write_ids(&path, &ids).unwrap();
             assert_eq!(read_ids(&path).unwrap(), ids);
         }
         let colours = dir.path().join("c.png");
         write_rgb(&colours, &Plane::filled(4, 4, [1, 2, 3])).unwrap();
-        assert!(read_ids(&colours).unwrap_err().to_string().contains("greyscale PNG"));
-        assert!(write_ids(&dir.path().join("i.jpg"), &CompactIds::from(&Plane::filled(2, 2, 1))).is_err());
+        assert!(
+            read_ids(&colours)
+                .unwrap_err()
+                .to_string()
+                .contains("greyscale PNG")
+        );
+        assert!(
+            write_ids(
+                &dir.path().join("i.jpg"),
+                &CompactIds::from(&Plane::filled(2, 2, 1))
+            )
+            .is_err()
+        );
     }
 
     #[test]
@@ -131,7 +178,10 @@ mod tests {
         write_rgb(&path, &rgb).unwrap();
         let got = read_rgb(&path).unwrap();
         for (a, b) in got.data().iter().zip(rgb.data()) {
-            assert!(a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 8), "{a:?} {b:?}");
+            assert!(
+                a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 8),
+                "{a:?} {b:?}"
+            );
         }
         let error = write_rgb(&dir.path().join("a.bmp"), &rgb).unwrap_err();
         assert!(error.to_string().contains(".png"), "{error}");

@@ -16,18 +16,23 @@ const MAX_SIDE_PX: u32 = 32_768;
 const MAX_FILE_BYTES: u64 = 1 << 30;
 /// Bytes per pixel beside what the decoder gives out: a copy in another type.
 const CONVERTED: u64 = 4;
-/// Bytes per pixel of the coefficients of a JPEG whose scans must all be read before there is a pixel.
+/// Bytes per pixel of the coefficients of a JPEG whose scans must all be read before there is a
+/// pixel.
 const COEFFICIENTS: u64 = 6;
 /// The last chunk of a PNG file with its checksum; the decoder checks all others that hold pixels.
 const PNG_END: &[u8] = b"\0\0\0\0IEND\xae\x42\x60\x82";
 const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
-/// Opens an image and checks its format and size, from the header alone: for those that are not decoded.
+/// Opens an image and checks its format and size, from the header alone: for those that are not
+/// decoded.
 fn open(path: &Path) -> Result<impl ImageDecoder, Fault> {
     checked(BufReader::new(files::open(path)?), u64::MAX)
 }
 
 /// The decoder of an image, at most `most_pixels`, whose format and size are in order.
-fn checked<'a, R: BufRead + Seek + 'a>(mut from: R, most_pixels: u64) -> Result<impl ImageDecoder + 'a, Fault> {
+fn checked<'a, R: BufRead + Seek + 'a>(
+    mut from: R,
+    most_pixels: u64,
+) -> Result<impl ImageDecoder + 'a, Fault> {
     let start = from.fill_buf()?;
     // as after a copy that was interrupted
     if start.iter().all(|byte| *byte == 0) {
@@ -35,27 +40,39 @@ fn checked<'a, R: BufRead + Seek + 'a>(mut from: R, most_pixels: u64) -> Result<
     }
     let reader = ImageReader::new(from).with_guessed_format()?;
     if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
-        return Err(Fault::unsupported("it is not a PNG or JPEG image", "convert it to one of these"));
+        return Err(Fault::unsupported(
+            "it is not a PNG or JPEG image",
+            "convert it to one of these",
+        ));
     }
     let decoder = reader.into_decoder().map_err(damaged)?;
     let (width, height) = decoder.dimensions();
     let pixels = u64::from(width) * u64::from(height);
     if width > MAX_SIDE_PX || height > MAX_SIDE_PX || pixels > most_pixels {
         let limit = MAX_SIDE_PX.min(most_pixels.isqrt() as u32);
-        let what = format!("it is {width} x {height} pixels, above the limit of {limit} pixels per side");
+        let what =
+            format!("it is {width} x {height} pixels, above the limit of {limit} pixels per side");
         return Err(Fault::bad(what, "resize it"));
     }
     Ok(decoder)
 }
 
-/// The decoder of an image in memory that is whole, at most `most_pixels`, and the share of the memory for decoding that it takes.
+/// The decoder of an image in memory that is whole, at most `most_pixels`, and the share of the
+/// memory for decoding that it takes.
 fn whole(bytes: &[u8], most_pixels: u64) -> Result<(impl ImageDecoder + '_, Share), Fault> {
     let decoder = checked(Cursor::new(bytes), most_pixels)?;
     let is_jpeg = bytes.starts_with(JPEG);
     let (width, height) = decoder.dimensions();
-    let held = if is_jpeg && jpeg::keeps_coefficients(bytes) { COEFFICIENTS } else { 0 };
+    let held = if is_jpeg && jpeg::keeps_coefficients(bytes) {
+        COEFFICIENTS
+    } else {
+        0
+    };
     let a_pixel = u64::from(decoder.color_type().bytes_per_pixel()) + CONVERTED + held;
-    let (needed, file_bytes) = (a_pixel * u64::from(width) * u64::from(height), bytes.len() as u64);
+    let (needed, file_bytes) = (
+        a_pixel * u64::from(width) * u64::from(height),
+        bytes.len() as u64,
+    );
     files::within_memory(&format!("{width} x {height} pixels"), needed, file_bytes)?;
     if is_jpeg {
         jpeg::check(bytes).map_err(bad)?;
@@ -66,7 +83,10 @@ fn whole(bytes: &[u8], most_pixels: u64) -> Result<(impl ImageDecoder + '_, Shar
 }
 
 /// What `convert` makes of the image in a file.
-fn decode<T>(path: &Path, convert: impl FnOnce(DynamicImage) -> Result<T, Fault>) -> Result<T, ReadError> {
+fn decode<T>(
+    path: &Path,
+    convert: impl FnOnce(DynamicImage) -> Result<T, Fault>,
+) -> Result<T, ReadError> {
     files::read(path, MAX_FILE_BYTES)
         .map_err(Fault::from)
         .and_then(|bytes| decode_bytes(&bytes, u64::MAX, convert))
@@ -83,7 +103,10 @@ fn decode_bytes<T>(
 }
 
 fn bad(reason: String) -> Fault {
-    Fault::bad(format!("the image is damaged ({reason})"), "export it again")
+    Fault::bad(
+        format!("the image is damaged ({reason})"),
+        "export it again",
+    )
 }
 
 fn damaged(error: image::ImageError) -> Fault {
@@ -106,7 +129,8 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadError> {
     Ok((width as usize, height as usize))
 }
 
-/// Decodes a colour image of an archive, at most `most_pixels`, as [`read_rgb`]; `name` is for messages.
+/// Decodes a colour image of an archive, at most `most_pixels`, as [`read_rgb`]; `name` is for
+/// messages.
 pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadError> {
     decode_bytes(bytes, most_pixels, rgb).at(name)
 }
@@ -133,7 +157,9 @@ pub fn read_photo(path: &Path) -> Result<Photo, ReadError> {
     // A damaged EXIF block is none.
     let exif = decoder.exif_metadata().ok().flatten();
     let orientation = decoder.orientation().ok();
-    let mut image = DynamicImage::from_decoder(decoder).map_err(damaged).at(path)?;
+    let mut image = DynamicImage::from_decoder(decoder)
+        .map_err(damaged)
+        .at(path)?;
     if let Some(orientation) = orientation {
         image.apply_orientation(orientation);
     }
@@ -148,14 +174,23 @@ fn rgb(image: DynamicImage) -> Result<RgbImage, Fault> {
     let data: Vec<[u8; 3]> = if image.color().has_alpha() {
         let over_black = |c: u8, a: u8| ((u32::from(c) * u32::from(a) + 127) / 255) as u8;
         let rgba = image.into_rgba8();
-        rgba.pixels().map(|p| [over_black(p[0], p[3]), over_black(p[1], p[3]), over_black(p[2], p[3])]).collect()
+        rgba.pixels()
+            .map(|p| {
+                [
+                    over_black(p[0], p[3]),
+                    over_black(p[1], p[3]),
+                    over_black(p[2], p[3]),
+                ]
+            })
+            .collect()
     } else {
         image.into_rgb8().pixels().map(|p| p.0).collect()
     };
     plane(size, data)
 }
 
-/// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units per step); 0 stays 0 = unknown.
+/// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units per step); 0 stays 0 =
+/// unknown.
 pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadError> {
     decode(path, |image| match image {
         DynamicImage::ImageLuma16(grey) => {
@@ -164,7 +199,10 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadError> {
         }
         other => {
             let what = format!("the depth map is an image of type {:?}", other.color());
-            Err(Fault::bad(what, "it must be a greyscale PNG with 16 bits per pixel"))
+            Err(Fault::bad(
+                what,
+                "it must be a greyscale PNG with 16 bits per pixel",
+            ))
         }
     })
 }
@@ -175,7 +213,8 @@ pub fn read_ids(path: &Path) -> Result<CompactIds, ReadError> {
     decode(path, |image| ids(image, is_png))
 }
 
-/// As [`read_ids`], of a file in memory; `path` is for messages. Fails if it is not a greyscale PNG.
+/// As [`read_ids`], of a file in memory; `path` is for messages. Fails if it is not a greyscale
+/// PNG.
 pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadError> {
     let is_png = bytes.starts_with(b"\x89PNG");
     decode_bytes(bytes, u64::MAX, |image| ids(image, is_png)).at(path)
@@ -184,12 +223,18 @@ pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadError> 
 fn ids(image: DynamicImage, is_png: bool) -> Result<CompactIds, Fault> {
     let size = (image.width(), image.height());
     let numbers: Vec<u16> = match image {
-        DynamicImage::ImageLuma8(grey) if is_png => grey.into_raw().into_iter().map(u16::from).collect(),
+        DynamicImage::ImageLuma8(grey) if is_png => {
+            grey.into_raw().into_iter().map(u16::from).collect()
+        }
         DynamicImage::ImageLuma16(grey) => grey.into_raw(),
         other => {
             let kind = if is_png { "a PNG" } else { "a JPEG" };
-            let what = format!("the instance map is {kind} image of type {:?}", other.color());
-            let hint = "it must be a greyscale PNG with 8 or 16 bits per pixel, 0 where there is none";
+            let what = format!(
+                "the instance map is {kind} image of type {:?}",
+                other.color()
+            );
+            let hint =
+                "it must be a greyscale PNG with 8 or 16 bits per pixel, 0 where there is none";
             return Err(Fault::bad(what, hint));
         }
     };
@@ -209,15 +254,23 @@ pub fn read_grey(path: &Path) -> Result<Plane<u8>, ReadError> {
     })
 }
 
-/// Diagonal of a frame of 35 mm film, millimetres: what "35 mm equivalent" focal lengths refer to (CIPA DCG-001).
+/// Diagonal of a frame of 35 mm film, millimetres: what "35 mm equivalent" focal lengths refer to
+/// (CIPA DCG-001).
 const FILM_DIAGONAL_MM: f64 = 43.266_615;
 
 /// Focal length in pixels by an EXIF block; `None` where it is missing or damaged.
 fn focal_px_of(block: Vec<u8>, width: usize, height: usize) -> Option<f64> {
     let mut reader = exif::Reader::new();
     // What is damaged elsewhere in the block does not matter.
-    let fields = reader.continue_on_error(true).read_raw(block).or_else(|e| e.distill_partial_result(|_| {})).ok()?;
-    let millimetres = fields.get_field(Tag::FocalLengthIn35mmFilm, In::PRIMARY)?.value.get_uint(0)?;
+    let fields = reader
+        .continue_on_error(true)
+        .read_raw(block)
+        .or_else(|e| e.distill_partial_result(|_| {}))
+        .ok()?;
+    let millimetres = fields
+        .get_field(Tag::FocalLengthIn35mmFilm, In::PRIMARY)?
+        .value
+        .get_uint(0)?;
     let diagonal_px = (width as f64).hypot(height as f64);
     (millimetres > 0).then(|| f64::from(millimetres) / FILM_DIAGONAL_MM * diagonal_px)
 }
@@ -234,7 +287,9 @@ mod tests {
     fn decode_rgb_enforces_pixel_limit() {
         let mut bytes = Vec::new();
         let image = RgbImage::from_fn(5, 3, |x, y| image::Rgb([x as u8, y as u8, 77]));
-        image.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png).unwrap();
+        image
+            .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
+            .unwrap();
         let decode = |bytes: &[u8], most| decode_rgb(bytes, Path::new("a.png"), most);
         let read = decode(&bytes, 15).unwrap();
         assert_eq!((read.size(), read[(4, 2)]), ((5, 3), [4, 2, 77]));
@@ -244,7 +299,10 @@ mod tests {
             (b"GIF89a", 15, ErrorKind::Unsupported, "not a PNG"),
         ] {
             let error = decode(bytes, most).unwrap_err();
-            assert!(error.kind() == kind && error.to_string().contains(says), "{error}");
+            assert!(
+                error.kind() == kind && error.to_string().contains(says),
+                "{error}"
+            );
         }
     }
 

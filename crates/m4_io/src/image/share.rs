@@ -1,5 +1,6 @@
-//! Images are decoded in parallel; those that take much more memory than their files wait for one another, so that all together stay
-//! within [`FREE_BYTES`] and their share by the size of their files.
+//! Images are decoded in parallel; those that take much more memory than their files wait for one
+//! another, so that all together stay within [`FREE_BYTES`] and their share by the size of their
+//! files.
 
 use crate::files::FREE_BYTES;
 use std::sync::{Condvar, Mutex, PoisonError};
@@ -8,7 +9,8 @@ use std::sync::{Condvar, Mutex, PoisonError};
 static TAKEN: Mutex<u64> = Mutex::new(0);
 static GIVEN_BACK: Condvar = Condvar::new();
 
-/// A share of [`FREE_BYTES`], given back when it is dropped. While one is held nothing else may be waited for.
+/// A share of [`FREE_BYTES`], given back when it is dropped. While one is held nothing else may be
+/// waited for.
 pub(super) struct Share(u64);
 
 impl Share {
@@ -16,7 +18,9 @@ impl Share {
     pub(super) fn take(bytes: u64) -> Self {
         let taken = TAKEN.lock().unwrap_or_else(PoisonError::into_inner);
         let full = |taken: &mut u64| *taken > 0 && *taken + bytes > FREE_BYTES;
-        let mut taken = GIVEN_BACK.wait_while(taken, full).unwrap_or_else(PoisonError::into_inner);
+        let mut taken = GIVEN_BACK
+            .wait_while(taken, full)
+            .unwrap_or_else(PoisonError::into_inner);
         *taken += bytes;
         Self(bytes)
     }

@@ -67,7 +67,10 @@ impl Numbers {
         match self.shape[..] {
             [h, w] | [h, w, 1] | [1, h, w] | [1, h, w, 1] if h * w > 0 => Ok((h, w)),
             _ => {
-                let what = format!("an array of shape {:?}; [height, width] was expected", self.shape);
+                let what = format!(
+                    "an array of shape {:?}; [height, width] was expected",
+                    self.shape
+                );
                 Err(Fault::bad(what, "save one map per file"))
             }
         }
@@ -84,18 +87,29 @@ impl Array<'static> {
 }
 
 impl<'a> Array<'a> {
-    /// Reads the header; `most_bytes` is what `reader` can give at most, `limit_bytes` what the array may take.
-    pub fn open(name: &str, mut reader: impl Read + 'a, most_bytes: u64, limit_bytes: u64) -> Result<Self, Fault> {
+    /// Reads the header; `most_bytes` is what `reader` can give at most, `limit_bytes` what the
+    /// array may take.
+    pub fn open(
+        name: &str,
+        mut reader: impl Read + 'a,
+        most_bytes: u64,
+        limit_bytes: u64,
+    ) -> Result<Self, Fault> {
         let bad = |why: String| Fault::bad(format!("{name} {why}"), HINT);
         let header = Header::read(&mut reader).map_err(bad)?;
         let Some((number, big_endian)) = parse(&header.descr) else {
             let types = "booleans, integers and floats are read";
-            return Err(bad(format!("holds numbers of type {}; {types}", header.descr)));
+            return Err(bad(format!(
+                "holds numbers of type {}; {types}",
+                header.descr
+            )));
         };
         if header.shape.len() > MAX_RANK {
             return Err(bad(format!("has {} dimensions", header.shape.len())));
         }
-        let needed_bytes = header.len().and_then(|n| n.checked_mul(number.bytes() as u64));
+        let needed_bytes = header
+            .len()
+            .and_then(|n| n.checked_mul(number.bytes() as u64));
         let needed_bytes = needed_bytes.unwrap_or(u64::MAX);
         if needed_bytes > most_bytes {
             return Err(bad(format!(
@@ -106,8 +120,10 @@ impl<'a> Array<'a> {
         if needed_bytes > limit_bytes {
             return Err(Fault::too_large(name, needed_bytes, limit_bytes));
         }
-        // with no dimension of 0 each is smaller than the product, which is no larger than the limit
-        let shape: Result<Vec<usize>, _> = header.shape.iter().map(|&n| usize::try_from(n)).collect();
+        // with no dimension of 0 each is smaller than the product, which is no larger than the
+        // limit
+        let shape: Result<Vec<usize>, _> =
+            header.shape.iter().map(|&n| usize::try_from(n)).collect();
         let mut array = Self {
             number,
             shape: shape.map_err(|_| bad(format!("has shape {:?}", header.shape)))?,
@@ -129,7 +145,9 @@ impl<'a> Array<'a> {
     }
 
     fn unpacked(&self, error: &std::io::Error) -> Fault {
-        self.bad(format_args!("cannot be unpacked ({error}); it is damaged or cut off"))
+        self.bad(format_args!(
+            "cannot be unpacked ({error}); it is damaged or cut off"
+        ))
     }
 
     /// The next `n` bytes: of an array of 8-bit integers its numbers. Fails if there are fewer.
@@ -148,7 +166,9 @@ impl<'a> Array<'a> {
         let (number, big_endian) = (self.number, self.big_endian);
         let bytes = self.next_bytes(n.saturating_mul(number.bytes()))?;
         let numbers = bytes.chunks_exact(number.bytes());
-        Ok(numbers.map(|bytes| number.read(bytes, big_endian)).collect())
+        Ok(numbers
+            .map(|bytes| number.read(bytes, big_endian))
+            .collect())
     }
 
     /// Makes sure that nothing follows; of an archive this also compares the checksum.
@@ -164,13 +184,20 @@ impl<'a> Array<'a> {
     pub(crate) fn numbers(mut self) -> Result<Numbers, Fault> {
         let values = self.next_f64(self.shape.iter().product())?;
         self.end()?;
-        Ok(Numbers { whole: !self.number.is_float(), shape: self.shape, values })
+        Ok(Numbers {
+            whole: !self.number.is_float(),
+            shape: self.shape,
+            values,
+        })
     }
 }
 
 /// Numbers whose first index runs fastest as numbers whose last one does.
 fn in_c_order(bytes: &[u8], shape: &[usize], width: usize) -> Vec<u8> {
-    let strides: Vec<usize> = shape.iter().scan(1, |stride, &n| Some(std::mem::replace(stride, *stride * n))).collect();
+    let strides: Vec<usize> = shape
+        .iter()
+        .scan(1, |stride, &n| Some(std::mem::replace(stride, *stride * n)))
+        .collect();
     let mut at = vec![0; shape.len()];
     let mut out = Vec::with_capacity(bytes.len());
     for _ in 0..bytes.len() / width {
@@ -194,7 +221,8 @@ mod tests {
 
     fn npy(descr: &str, fortran: bool, shape: &str, numbers: &[u8]) -> Vec<u8> {
         let order = if fortran { "True" } else { "False" };
-        let text = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
+        let text =
+            format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
         let mut out = b"\x93NUMPY\x01\x00".to_vec();
         out.extend((text.len() as u16).to_le_bytes());
         out.extend(text.as_bytes());
@@ -203,12 +231,18 @@ mod tests {
     }
 
     fn values(bytes: &[u8]) -> Result<Vec<f64>, Fault> {
-        Ok(Array::open("the array", bytes, bytes.len() as u64, 1 << 20)?.numbers()?.values)
+        Ok(
+            Array::open("the array", bytes, bytes.len() as u64, 1 << 20)?
+                .numbers()?
+                .values,
+        )
     }
 
     #[test]
     fn array_types_and_byte_orders_are_equivalent() {
-        let flat = |f: &dyn Fn(f32) -> Vec<u8>| (0..6).flat_map(|k| f(k as f32 * 0.5)).collect::<Vec<u8>>();
+        let flat = |f: &dyn Fn(f32) -> Vec<u8>| {
+            (0..6).flat_map(|k| f(k as f32 * 0.5)).collect::<Vec<u8>>()
+        };
         let half = |v: f32| half::f16::from_f32(v);
         let cases = [
             ("<f2", flat(&|v| half(v).to_le_bytes().to_vec())),
@@ -233,9 +267,18 @@ mod tests {
             assert_eq!(got, [-2.0, -1.0, 0.0, 1.0, 2.0, 3.0], "{descr}");
         }
         let large = 60_000u16;
-        assert_eq!(values(&npy("<u2", false, "(1,)", &large.to_le_bytes())).unwrap(), [60_000.0]);
-        assert_eq!(values(&npy(">u4", false, "(1,)", &3_000_000_000u32.to_be_bytes())).unwrap(), [3e9]);
-        assert_eq!(values(&npy("|b1", false, "(3,)", &[0, 1, 1])).unwrap(), [0.0, 1.0, 1.0]);
+        assert_eq!(
+            values(&npy("<u2", false, "(1,)", &large.to_le_bytes())).unwrap(),
+            [60_000.0]
+        );
+        assert_eq!(
+            values(&npy(">u4", false, "(1,)", &3_000_000_000u32.to_be_bytes())).unwrap(),
+            [3e9]
+        );
+        assert_eq!(
+            values(&npy("|b1", false, "(3,)", &[0, 1, 1])).unwrap(),
+            [0.0, 1.0, 1.0]
+        );
         for (descr, bytes) in &cases {
             let got = values(&npy(descr, false, "(2, 3)", bytes)).unwrap();
             assert_eq!(got, [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], "{descr}");
@@ -250,13 +293,21 @@ mod tests {
 
     #[test]
     fn shapes_beyond_the_file_or_the_limit_are_refused() {
-        let refused = |bytes: &[u8], limit| match Array::open("the array", bytes, bytes.len() as u64, limit) {
+        let refused = |bytes: &[u8], limit| match Array::open(
+            "the array",
+            bytes,
+            bytes.len() as u64,
+            limit,
+        ) {
             Ok(_) => panic!("it was taken"),
             Err(cause) => cause,
         };
-        for shape in
-            ["(2, 400)", "(18446744073709551615, 2)", "(4000000000, 4000000000)", "(0, 9999999999999999999999)"]
-        {
+        for shape in [
+            "(2, 400)",
+            "(18446744073709551615, 2)",
+            "(4000000000, 4000000000)",
+            "(0, 9999999999999999999999)",
+        ] {
             let cause = refused(&npy("<f8", false, shape, &[0; 24]), u64::MAX);
             assert_eq!(cause.kind(), ErrorKind::BadData, "{shape}");
         }

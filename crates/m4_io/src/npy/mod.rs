@@ -5,10 +5,11 @@
 //! .npz   zip of NAME.npy, stored or deflated    Npz: one Array a member
 //! ```
 //!
-//! Files are not trusted. A shape is compared with the bytes that the file can hold (for a deflated member: 1032 times
-//! what is packed, the most that deflate can do) before anything of its size is allocated, and pieces are read one by
-//! one. Booleans, integers of 8 to 64 bits and floats of 16, 32 and 64 bits are read, of either byte order; arrays in Fortran order are
-//! reversed. This is done here and not by a crate: `npyz` multiplies a shape without looking for an overflow.
+//! Files are not trusted. A shape is compared with the bytes that the file can hold (for a deflated
+//! member: 1032 times what is packed, the most that deflate can do) before anything of its size is
+//! allocated, and pieces are read one by one. Booleans, integers of 8 to 64 bits and floats of 16,
+//! 32 and 64 bits are read, of either byte order; arrays in Fortran order are reversed. This is
+//! done here and not by a crate: `npyz` multiplies a shape without looking for an overflow.
 
 mod array;
 
@@ -42,7 +43,8 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Reads a header; `reader` is then at the first number. Errors: what is wrong with it, in words.
+    /// Reads a header; `reader` is then at the first number. Errors: what is wrong with it, in
+    /// words.
     pub fn read(reader: &mut impl Read) -> Result<Self, String> {
         let mut take = |n: usize| -> Result<Vec<u8>, String> {
             let mut bytes = vec![0; n];
@@ -59,12 +61,19 @@ impl Header {
             2 | 3 => take(4)?,
             other => return Err(format!("has version {other} of npy; 1 to 3 are read")),
         };
-        let length = length.iter().rev().fold(0usize, |sum, &b| sum << 8 | usize::from(b));
+        let length = length
+            .iter()
+            .rev()
+            .fold(0usize, |sum, &b| sum << 8 | usize::from(b));
         if length > MAX_HEADER {
-            return Err(format!("has a header of {length} bytes; at most {MAX_HEADER} are read"));
+            return Err(format!(
+                "has a header of {length} bytes; at most {MAX_HEADER} are read"
+            ));
         }
-        let text = String::from_utf8(take(length)?).map_err(|_| "has a header that is not text".to_owned())?;
-        Self::parse(&text).ok_or_else(|| format!("has a header that is not understood: {}", text.trim_end()))
+        let text = String::from_utf8(take(length)?)
+            .map_err(|_| "has a header that is not text".to_owned())?;
+        Self::parse(&text)
+            .ok_or_else(|| format!("has a header that is not understood: {}", text.trim_end()))
     }
 
     /// `{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }`, in any order.
@@ -90,18 +99,28 @@ impl Header {
 
     /// That of an array in C order.
     pub fn new(descr: &str, shape: Vec<u64>) -> Self {
-        Self { descr: descr.to_owned(), fortran_order: false, shape }
+        Self {
+            descr: descr.to_owned(),
+            fortran_order: false,
+            shape,
+        }
     }
 
     /// Numbers in the array; `None` if they are more than can be counted.
     pub fn len(&self) -> Option<u64> {
-        self.shape.iter().try_fold(1u64, |n, &side| n.checked_mul(side))
+        self.shape
+            .iter()
+            .try_fold(1u64, |n, &side| n.checked_mul(side))
     }
 
     /// The bytes of the header of an array in C order.
     pub fn to_bytes(&self) -> Vec<u8> {
         let sizes: Vec<String> = self.shape.iter().map(|n| format!("{n},")).collect();
-        let text = format!("{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}", self.descr, sizes.join(" "));
+        let text = format!(
+            "{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
+            self.descr,
+            sizes.join(" ")
+        );
         // magic, version, length, text, line feed
         let padded = (10 + text.len() + 1).next_multiple_of(ALIGN);
         let mut out = MAGIC.to_vec();
@@ -146,7 +165,8 @@ impl Number {
         matches!(self, Self::F16 | Self::F32 | Self::F64)
     }
 
-    /// The number in `bytes`, which are as many as it takes; integers of 64 bits beyond 2^53 are rounded.
+    /// The number in `bytes`, which are as many as it takes; integers of 64 bits beyond 2^53 are
+    /// rounded.
     pub fn read(self, bytes: &[u8], big_endian: bool) -> f64 {
         let mut word = [0; 8];
         let n = self.bytes();
@@ -182,7 +202,8 @@ pub struct Npz {
 }
 
 impl Npz {
-    /// Opens the file and reads its directory. Errors: what the system says, or why it is no archive.
+    /// Opens the file and reads its directory. Errors: what the system says, or why it is no
+    /// archive.
     pub fn open(path: &Path) -> Result<Self, Fault> {
         let file = files::open(path)?;
         let file_bytes = file.metadata()?.len();
@@ -202,7 +223,9 @@ impl Npz {
     /// Names of its first arrays, for messages.
     pub fn names(&self) -> String {
         let names = self.zip.file_names().flatten().take(12);
-        let names: Vec<String> = names.map(|n| n.trim_end_matches(".npy").to_owned()).collect();
+        let names: Vec<String> = names
+            .map(|n| n.trim_end_matches(".npy").to_owned())
+            .collect();
         if names.is_empty() {
             return "nothing".into();
         }
@@ -216,7 +239,10 @@ impl Npz {
             Ok(member) => member,
             Err(ZipError::FileNotFound) => return Ok(None),
             Err(e) => {
-                return Err(Fault::bad(format!("{called} cannot be unpacked ({e})"), "save it again"));
+                return Err(Fault::bad(
+                    format!("{called} cannot be unpacked ({e})"),
+                    "save it again",
+                ));
             }
         };
         let packed = member.compressed_size().min(self.file_bytes);
@@ -234,7 +260,10 @@ impl Npz {
     pub(crate) fn need(&mut self, name: &str, limit_bytes: u64) -> Result<Array<'_>, Fault> {
         if !self.has(name) {
             let what = format!("the array `{name}`");
-            return Err(Fault::missing(what, format!("it has {}; save it again", self.names())));
+            return Err(Fault::missing(
+                what,
+                format!("it has {}; save it again", self.names()),
+            ));
         }
         let array = self.array(name, limit_bytes)?;
         array.ok_or_else(|| Fault::missing(name, "save it again"))

@@ -1,8 +1,9 @@
-//! The ranges of the numbers that files may hold. Every number is compared with its range once, where its file is read; the message
-//! names the file, the field and the range.
+//! The ranges of the numbers that files may hold. Every number is compared with its range once,
+//! where its file is read; the message names the file, the field and the range.
 //!
-//! The computations have 32 bits: a length may be squared twice without an overflow (1e7 to the power of 4 is 1e28, the largest
-//! number 3e38), and so may its inverse. Within these ranges nothing in the program becomes NaN or infinite.
+//! The computations have 32 bits: a length may be squared twice without an overflow (1e7 to the
+//! power of 4 is 1e28, the largest number 3e38), and so may its inverse. Within these ranges
+//! nothing in the program becomes NaN or infinite.
 
 pub(crate) mod bound;
 
@@ -31,7 +32,8 @@ pub const CENTRE: Range = -1.0..=2.0;
 pub const SIDE_PX: RangeInclusive<usize> = 1..=1 << 16;
 /// Frames per second: from a frame in twelve days to cameras of a microsecond.
 pub const FPS: Range = 1e-6..=1e6;
-/// Frames of a clip: nine hours at 30 frames per second. What goes through them frame by frame has to end.
+/// Frames of a clip: nine hours at 30 frames per second. What goes through them frame by frame has
+/// to end.
 pub const FRAMES: RangeInclusive<usize> = 0..=1_000_000;
 /// Moments of a clip, seconds: 31 years.
 pub const SECONDS: Range = -1e9..=1e9;
@@ -58,30 +60,54 @@ pub fn of_column(column: Column) -> Range {
 /// What is wrong with a number: the field, the value and the range.
 pub(crate) fn of_number(field: &str, value: f64, range: &Range, unit: &str) -> Option<String> {
     let fits = range.contains(&value);
-    (!fits).then(|| format!("{field} is {}; {} was expected", short(value), words(range, unit)))
+    (!fits).then(|| {
+        format!(
+            "{field} is {}; {} was expected",
+            short(value),
+            words(range, unit)
+        )
+    })
 }
 
 /// Fails with the field and the range unless `value` is in it.
-pub(crate) fn check(field: &str, value: f64, range: &Range, unit: &str, hint: &str) -> Result<(), Fault> {
+pub(crate) fn check(
+    field: &str,
+    value: f64,
+    range: &Range,
+    unit: &str,
+    hint: &str,
+) -> Result<(), Fault> {
     of_number(field, value, range, unit).map_or(Ok(()), |what| Err(Fault::bad(what, hint)))
 }
 
 /// `1e-6 to 1e6 frames per second`.
 pub(crate) fn words(range: &Range, unit: &str) -> String {
     let space = if unit.is_empty() { "" } else { " " };
-    format!("{} to {}{space}{unit}", short(*range.start()), short(*range.end()))
+    format!(
+        "{} to {}{space}{unit}",
+        short(*range.start()),
+        short(*range.end())
+    )
 }
 
 /// A number of few letters: `1e39` in place of forty digits.
 pub(crate) fn short(value: f64) -> String {
     let plain = value == 0.0 || !value.is_finite() || (1e-4..1e7).contains(&value.abs());
-    if plain { value.to_string() } else { format!("{value:e}") }
+    if plain {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
 }
 
 /// What is wrong with a place, world units.
 pub(crate) fn of_place(field: &str, place: &Vector3<f64>) -> Option<String> {
     let value = place.iter().find(|v| !COORDINATE.contains(v))?;
-    Some(format!("{field} holds {}; {} was expected", short(*value), words(&COORDINATE, "scene units")))
+    Some(format!(
+        "{field} holds {}; {} was expected",
+        short(*value),
+        words(&COORDINATE, "scene units")
+    ))
 }
 
 /// What is wrong with the size, the focal lengths or the principal point of a lens.
@@ -102,13 +128,20 @@ pub fn of_lens(k: &Intrinsics) -> Option<String> {
         ("the principal point cx", k.cx, CENTRE, k.width),
         ("the principal point cy", k.cy, CENTRE, k.height),
     ];
-    fields.into_iter().find_map(|(field, value, range, side)| of_pixels(field, value, &range, side))
+    fields
+        .into_iter()
+        .find_map(|(field, value, range, side)| of_pixels(field, value, &range, side))
 }
 
 /// What is wrong with a number whose range is that of a side of the image, pixels.
 pub(crate) fn of_pixels(field: &str, value: f64, range: &Range, side: usize) -> Option<String> {
     let range = range.start() * side as f64..=range.end() * side as f64;
-    of_number(field, value, &range, &format!("pixels (its image has {side})"))
+    of_number(
+        field,
+        value,
+        &range,
+        &format!("pixels (its image has {side})"),
+    )
 }
 
 /// The first parameter of a splat, of what it is bound to or of a window that is out of its range.
@@ -130,13 +163,25 @@ pub fn of_splats(splats: &Splats) -> Option<String> {
         let range = of_column(column);
         (0..layout.range(column).len()).find_map(|k| {
             let values = splats.column(column, k);
-            let at = values.iter().position(|v| !range.contains(&f64::from(*v)))?;
-            let splat = if values.len() < splats.n() { splats.n_static() + at } else { at };
+            let at = values
+                .iter()
+                .position(|v| !range.contains(&f64::from(*v)))?;
+            let splat = if values.len() < splats.n() {
+                splats.n_static() + at
+            } else {
+                at
+            };
             let value = short(values[at].into());
-            Some(format!("{name} of splat {splat} is {value}; {} was expected", words(&range, "")))
+            Some(format!(
+                "{name} of splat {splat} is {value}; {} was expected",
+                words(&range, "")
+            ))
         })
     };
-    columns.into_iter().find_map(of_column).or_else(|| of_bindings(splats))
+    columns
+        .into_iter()
+        .find_map(of_column)
+        .or_else(|| of_bindings(splats))
 }
 
 /// What is wrong with the time or the colour correction of a frame of a scene.
@@ -144,12 +189,23 @@ pub fn of_splats(splats: &Splats) -> Option<String> {
 pub fn of_source(frame: &SourceFrame) -> Option<String> {
     let frames = *FRAMES.end() as f64;
     if !(-frames..=frames).contains(&frame.t) {
-        return Some(format!("the time {}; frames up to {frames} were expected", short(frame.t)));
+        return Some(format!(
+            "the time {}; frames up to {frames} were expected",
+            short(frame.t)
+        ));
     }
     let exposure = &frame.exposure;
-    let mut numbers = exposure.matrix.as_flattened().iter().chain(&exposure.offset);
+    let mut numbers = exposure
+        .matrix
+        .as_flattened()
+        .iter()
+        .chain(&exposure.offset);
     let value = numbers.find(|v| !COLOUR.contains(&f64::from(**v)))?;
-    Some(format!("{} in its exposure; {} was expected", short(f64::from(*value)), words(&COLOUR, "")))
+    Some(format!(
+        "{} in its exposure; {} was expected",
+        short(f64::from(*value)),
+        words(&COLOUR, "")
+    ))
 }
 
 #[cfg(test)]
@@ -159,13 +215,22 @@ mod tests {
 
     #[test]
     fn messages_name_the_field_the_value_and_the_range() {
-        let message = check("fl_x", 1e39, &COORDINATE, "pixels", "correct it").unwrap_err().to_string();
-        assert_eq!(message, "fl_x is 1e39; -1e7 to 1e7 pixels was expected; correct it");
+        let message = check("fl_x", 1e39, &COORDINATE, "pixels", "correct it")
+            .unwrap_err()
+            .to_string();
+        assert_eq!(
+            message,
+            "fl_x is 1e39; -1e7 to 1e7 pixels was expected; correct it"
+        );
         for focal in [1e-30, 0.0, -5.0, f64::NAN, f64::INFINITY, 1e30] {
-            let lens = Intrinsics { fx: focal, ..Intrinsics::centred(640, 480, 500.0) };
+            let lens = Intrinsics {
+                fx: focal,
+                ..Intrinsics::centred(640, 480, 500.0)
+            };
             let said = of_lens(&lens).unwrap();
             assert!(
-                said.starts_with("the focal length fx is") && said.contains("6.4 to 640000 pixels (its image has 640)"),
+                said.starts_with("the focal length fx is")
+                    && said.contains("6.4 to 640000 pixels (its image has 640)"),
                 "{said}"
             );
         }
@@ -174,12 +239,20 @@ mod tests {
 
     #[test]
     fn splats_out_of_range_are_named() {
-        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
         let mut splats = Splats::zeros(layout, 2, 3);
         assert_eq!(of_splats(&splats), None);
         splats.column_mut(Column::Velocity, 1)[2] = 1e30;
         let said = of_splats(&splats).unwrap();
-        assert!(said.starts_with("velocity of splat 4 is 1") && said.ends_with("-1e9 to 1e9 was expected"), "{said}");
+        assert!(
+            said.starts_with("velocity of splat 4 is 1")
+                && said.ends_with("-1e9 to 1e9 was expected"),
+            "{said}"
+        );
         splats.column_mut(Column::Velocity, 1)[2] = f32::NAN;
         assert!(of_splats(&splats).unwrap().contains("NaN"));
     }

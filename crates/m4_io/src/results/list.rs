@@ -47,7 +47,14 @@ impl Kind {
     }
 
     pub(super) fn of_name(name: &str) -> Option<Self> {
-        let all = [Self::Run, Self::Capture, Self::Render, Self::PlySequence, Self::Colmap, Self::Report];
+        let all = [
+            Self::Run,
+            Self::Capture,
+            Self::Render,
+            Self::PlySequence,
+            Self::Colmap,
+            Self::Report,
+        ];
         all.into_iter().find(|kind| kind.name() == name)
     }
 
@@ -69,12 +76,18 @@ struct List {
     files: BTreeMap<Kind, Files>,
 }
 
-/// The list of a folder; empty where it is missing or damaged. Names that lead out of the folder are no names of ours.
+/// The list of a folder; empty where it is missing or damaged. Names that lead out of the folder
+/// are no names of ours.
 fn list(folder: &Path) -> BTreeMap<Kind, Files> {
-    let list: Option<List> =
-        files::read(&folder.join(LIST), MAX_LIST_BYTES).ok().and_then(|text| serde_json::from_slice(&text).ok());
+    let list: Option<List> = files::read(&folder.join(LIST), MAX_LIST_BYTES)
+        .ok()
+        .and_then(|text| serde_json::from_slice(&text).ok());
     let mut kinds = list.map(|list| list.files).unwrap_or_default();
-    let inside = |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    let inside = |name: &String| {
+        Path::new(name)
+            .components()
+            .all(|part| matches!(part, Component::Normal(_)))
+    };
     kinds.values_mut().for_each(|files| files.retain(inside));
     kinds
 }
@@ -87,7 +100,10 @@ pub(super) fn write_list(folder: &Path, kind: Kind, files: &Files) -> Result<(),
     let path = folder.join(LIST);
     let mut kinds = list(folder);
     kinds.insert(kind, files.clone());
-    let list = List { format: "minute4d-files".to_owned(), files: kinds };
+    let list = List {
+        format: "minute4d-files".to_owned(),
+        files: kinds,
+    };
     let text = serde_json::to_vec_pretty(&list).map_err(|e| WriteError::io(&path, e.into()))?;
     atomic::write(&path, &text).map_err(|e| WriteError::io(&path, e))
 }
@@ -105,7 +121,11 @@ pub(super) fn expanded(folder: &Path, files: &Files) -> Files {
             all.insert(format!("{nested}/{LIST}"));
         }
         for own in kinds.values() {
-            all.extend(expanded(&folder.join(nested), own).into_iter().map(|file| format!("{nested}/{file}")));
+            all.extend(
+                expanded(&folder.join(nested), own)
+                    .into_iter()
+                    .map(|file| format!("{nested}/{file}")),
+            );
         }
     }
     all
@@ -114,7 +134,11 @@ pub(super) fn expanded(folder: &Path, files: &Files) -> Files {
 /// The names, with those of a nested folder of results as one.
 pub(super) fn with_nested(mut names: Files) -> Files {
     let ending = format!("/{LIST}");
-    let nested: Vec<String> = names.iter().filter_map(|name| name.strip_suffix(&ending)).map(str::to_owned).collect();
+    let nested: Vec<String> = names
+        .iter()
+        .filter_map(|name| name.strip_suffix(&ending))
+        .map(str::to_owned)
+        .collect();
     for folder in nested {
         names.retain(|name| !is_below(name, Some(&folder)));
         names.insert(folder + "/");
@@ -123,7 +147,10 @@ pub(super) fn with_nested(mut names: Files) -> Files {
 }
 
 pub(super) fn is_below(name: &str, folder: Option<&str>) -> bool {
-    folder.is_some_and(|folder| name.strip_prefix(folder).is_some_and(|rest| rest.starts_with('/')))
+    folder.is_some_and(|folder| {
+        name.strip_prefix(folder)
+            .is_some_and(|rest| rest.starts_with('/'))
+    })
 }
 
 /// Which hidden files count.
@@ -139,13 +166,19 @@ pub(super) fn listed(folder: &Path, hidden: Hidden) -> Result<Vec<String>, Write
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(|e| WriteError::io(folder, e))? {
         let entry = entry.map_err(|e| WriteError::io(folder, e))?;
-        let kind = entry.file_type().map_err(|e| WriteError::io(&entry.path(), e))?;
+        let kind = entry
+            .file_type()
+            .map_err(|e| WriteError::io(&entry.path(), e))?;
         let name = entry.file_name().to_string_lossy().into_owned();
         if name.starts_with('.') && (hidden == Hidden::Passed || name != LIST) {
             continue;
         }
         if kind.is_dir() {
-            names.extend(listed(&entry.path(), hidden)?.into_iter().map(|file| format!("{name}/{file}")));
+            names.extend(
+                listed(&entry.path(), hidden)?
+                    .into_iter()
+                    .map(|file| format!("{name}/{file}")),
+            );
         } else {
             names.push(name);
         }

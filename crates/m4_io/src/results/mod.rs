@@ -1,4 +1,5 @@
-//! Folders of results: which of their files are ours, and how new results take the place of old ones.
+//! Folders of results: which of their files are ours, and how new results take the place of old
+//! ones.
 //!
 //! ```text
 //! .minute4d-files.json     for each kind of results the files that were written here, and the names that a command at work may use
@@ -6,7 +7,8 @@
 //! .minute4d-KIND-done/     complete new results that take their places: the next command that opens the folder ends that
 //! ```
 //!
-//! Only files that the list names for the same kind are ever removed or replaced. A folder without a list has none of ours.
+//! Only files that the list names for the same kind are ever removed or replaced. A folder without
+//! a list has none of ours.
 
 mod list;
 mod settle;
@@ -73,10 +75,20 @@ impl ResultFolder {
         let mut is_empty = true;
         for entry in fs::read_dir(path).map_err(failed)? {
             let name = entry.map_err(failed)?.file_name();
-            is_empty &= name.to_str().is_some_and(|name| name.starts_with(HIDDEN) || atomic::is_temporary(name));
+            is_empty &= name
+                .to_str()
+                .is_some_and(|name| name.starts_with(HIDDEN) || atomic::is_temporary(name));
         }
         let (path, files) = (path.to_path_buf(), files_of(path, kind));
-        Ok(Self { path, kind, files, is_empty, is_new, has_begun: false, _lock: lock })
+        Ok(Self {
+            path,
+            kind,
+            files,
+            is_empty,
+            is_new,
+            has_begun: false,
+            _lock: lock,
+        })
     }
 
     /// The folder.
@@ -85,7 +97,8 @@ impl ResultFolder {
         &self.path
     }
 
-    /// Whether nothing is in it, but for hidden files of ours and those that a killed process was writing.
+    /// Whether nothing is in it, but for hidden files of ours and those that a killed process was
+    /// writing.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.is_empty
@@ -97,13 +110,16 @@ impl ResultFolder {
         self.files.contains(file)
     }
 
-    /// Refuses files that are not ours where results would go: `names` are those of files and folders in this folder. Hidden files in
-    /// such a folder do no harm.
+    /// Refuses files that are not ours where results would go: `names` are those of files and
+    /// folders in this folder. Hidden files in such a folder do no harm.
     ///
     /// # Errors
     ///
     /// [`WriteFault::Foreign`].
-    pub fn check_free<'a>(&self, names: impl IntoIterator<Item = &'a str>) -> Result<(), WriteError> {
+    pub fn check_free<'a>(
+        &self,
+        names: impl IntoIterator<Item = &'a str>,
+    ) -> Result<(), WriteError> {
         for name in names {
             let path = self.path.join(name.trim_end_matches('/'));
             match fs::symlink_metadata(&path) {
@@ -113,7 +129,9 @@ impl ResultFolder {
                         let file = format!("{}/{file}", name.trim_end_matches('/'));
                         !self.files.contains(&file)
                     });
-                    let nested = self.files.contains(&format!("{}/", name.trim_end_matches('/')));
+                    let nested = self
+                        .files
+                        .contains(&format!("{}/", name.trim_end_matches('/')));
                     if let (Some(file), false) = (foreign, nested) {
                         return Err(fault(&path.join(file), WriteFault::Foreign));
                     }
@@ -125,8 +143,8 @@ impl ResultFolder {
         Ok(())
     }
 
-    /// Refuses results that would take the place of what they are made from: where one of `inputs` is, or lies in, one of the files and
-    /// folders `names` of this folder, links followed.
+    /// Refuses results that would take the place of what they are made from: where one of `inputs`
+    /// is, or lies in, one of the files and folders `names` of this folder, links followed.
     ///
     /// # Errors
     ///
@@ -138,7 +156,12 @@ impl ResultFolder {
     ) -> Result<(), WriteError> {
         let places: Vec<PathBuf> = names
             .into_iter()
-            .filter_map(|name| self.path.join(name.trim_end_matches('/')).canonicalize().ok())
+            .filter_map(|name| {
+                self.path
+                    .join(name.trim_end_matches('/'))
+                    .canonicalize()
+                    .ok()
+            })
             .collect();
         for input in inputs {
             if let Ok(real) = input.canonicalize()
@@ -156,8 +179,14 @@ impl ResultFolder {
     ///
     /// [`WriteFault::Input`].
     pub fn check_not_itself(&self, inputs: &[&Path]) -> Result<(), WriteError> {
-        let real = self.path.canonicalize().map_err(|e| WriteError::io(&self.path, e))?;
-        match inputs.iter().find(|input| input.canonicalize().is_ok_and(|input| input == real)) {
+        let real = self
+            .path
+            .canonicalize()
+            .map_err(|e| WriteError::io(&self.path, e))?;
+        match inputs
+            .iter()
+            .find(|input| input.canonicalize().is_ok_and(|input| input == real))
+        {
             Some(input) => Err(fault(input, WriteFault::Input)),
             None => Ok(()),
         }
@@ -168,11 +197,18 @@ impl ResultFolder {
     /// # Errors
     ///
     /// [`WriteFault::Foreign`] for one that is taken; else the failure of the file system.
-    pub fn claim<'a>(&mut self, names: impl IntoIterator<Item = &'a str> + Clone) -> Result<(), WriteError> {
+    pub fn claim<'a>(
+        &mut self,
+        names: impl IntoIterator<Item = &'a str> + Clone,
+    ) -> Result<(), WriteError> {
         self.check_free(names.clone())?;
         let before = self.files.len();
         self.files.extend(names.into_iter().map(str::to_owned));
-        if self.files.len() == before { Ok(()) } else { write_list(&self.path, self.kind, &self.files) }
+        if self.files.len() == before {
+            Ok(())
+        } else {
+            write_list(&self.path, self.kind, &self.files)
+        }
     }
 
     /// Takes names from the list whose files were not written.
@@ -182,15 +218,23 @@ impl ResultFolder {
     /// The failure of the file system.
     pub fn release(&mut self) -> Result<(), WriteError> {
         let before = self.files.len();
-        self.files.retain(|name| self.path.join(name.trim_end_matches('/')).exists());
-        if self.files.len() == before { Ok(()) } else { write_list(&self.path, self.kind, &self.files) }
+        self.files
+            .retain(|name| self.path.join(name.trim_end_matches('/')).exists());
+        if self.files.len() == before {
+            Ok(())
+        } else {
+            write_list(&self.path, self.kind, &self.files)
+        }
     }
 
     /// The names of all files of ours that exist, those of nested folders of results included.
     #[must_use]
     pub fn existing(&self) -> Files {
         let expanded = expanded(&self.path, &self.files);
-        expanded.into_iter().filter(|name| self.path.join(name).is_file()).collect()
+        expanded
+            .into_iter()
+            .filter(|name| self.path.join(name).is_file())
+            .collect()
     }
 
     /// Removes all files of ours but those in the folder `but`, and the list.
@@ -199,7 +243,10 @@ impl ResultFolder {
     ///
     /// The failure of the file system.
     pub fn clear(&mut self, but: Option<&str>) -> Result<(), WriteError> {
-        let (kept, gone) = self.existing().into_iter().partition(|name| is_below(name, but));
+        let (kept, gone) = self
+            .existing()
+            .into_iter()
+            .partition(|name| is_below(name, but));
         remove(&self.path, &gone)?;
         self.files = kept;
         write_list(&self.path, self.kind, &self.files)
@@ -211,8 +258,8 @@ impl ResultFolder {
         self.kind.next(&self.path)
     }
 
-    /// Makes the folder for new results, and removes those that were not completed. Without [`commit`](Self::commit) or
-    /// [`keep`](Self::keep) they are removed in the end.
+    /// Makes the folder for new results, and removes those that were not completed. Without
+    /// [`commit`](Self::commit) or [`keep`](Self::keep) they are removed in the end.
     ///
     /// # Errors
     ///
@@ -230,8 +277,8 @@ impl ResultFolder {
         self.has_begun = false;
     }
 
-    /// The same, with all files that are ours, which share their bytes with the old ones where the file system can: a file may be
-    /// replaced, never changed.
+    /// The same, with all files that are ours, which share their bytes with the old ones where the
+    /// file system can: a file may be replaced, never changed.
     ///
     /// # Errors
     ///
@@ -257,13 +304,14 @@ impl ResultFolder {
         remove_folder(&self.next())
     }
 
-    /// Puts the new results into their places, and removes old ones that have no successor but those in the folder `but`. Interrupted
-    /// at any time, the old or the new ones are whole once the folder is opened again. Returns the bytes of the new results.
+    /// Puts the new results into their places, and removes old ones that have no successor but
+    /// those in the folder `but`. Interrupted at any time, the old or the new ones are whole once
+    /// the folder is opened again. Returns the bytes of the new results.
     ///
     /// # Errors
     ///
-    /// [`WriteFault::Foreign`] where a file that is not ours has the name of a result, which is then not put into its place; else the
-    /// failure of the file system.
+    /// [`WriteFault::Foreign`] where a file that is not ours has the name of a result, which is
+    /// then not put into its place; else the failure of the file system.
     pub fn commit(&mut self, but: Option<&str>) -> Result<u64, WriteError> {
         let (next, done) = (self.next(), self.kind.done(&self.path));
         let mut new: Files = listed(&next, Hidden::Ours)?.into_iter().collect();
@@ -279,7 +327,9 @@ impl ResultFolder {
         let mut bytes = 0;
         for name in &new {
             let path = next.join(name);
-            bytes += fs::metadata(&path).map_err(|e| WriteError::io(&path, e))?.len();
+            bytes += fs::metadata(&path)
+                .map_err(|e| WriteError::io(&path, e))?
+                .len();
         }
         new.extend(old.into_iter().filter(|name| is_below(name, but)));
         write_list(&next, self.kind, &new)?;
@@ -291,9 +341,12 @@ impl ResultFolder {
     }
 }
 
-/// Locks the folder itself, so that no lock file is left behind; `None` on systems that cannot lock a folder.
+/// Locks the folder itself, so that no lock file is left behind; `None` on systems that cannot lock
+/// a folder.
 fn lock(folder: &Path) -> Result<Option<File>, WriteError> {
-    let Ok(handle) = File::open(folder) else { return Ok(None) };
+    let Ok(handle) = File::open(folder) else {
+        return Ok(None);
+    };
     match handle.try_lock() {
         Err(TryLockError::WouldBlock) => Err(fault(folder, WriteFault::Busy)),
         _ => Ok(Some(handle)),
@@ -301,7 +354,10 @@ fn lock(folder: &Path) -> Result<Option<File>, WriteError> {
 }
 
 fn fault(path: &Path, fault: WriteFault) -> WriteError {
-    WriteError { path: path.to_path_buf(), fault }
+    WriteError {
+        path: path.to_path_buf(),
+        fault,
+    }
 }
 
 /// Refuses a file as the place of a result that is made from it, links followed.
@@ -312,7 +368,10 @@ fn fault(path: &Path, fault: WriteFault) -> WriteError {
 pub fn check_target(target: &Path, inputs: &[&Path]) -> Result<(), WriteError> {
     atomic::check(target).map_err(|e: io::Error| WriteError::io(target, e))?;
     let real = target.canonicalize();
-    let same = |input: &&Path| real.as_ref().is_ok_and(|real| input.canonicalize().is_ok_and(|input| input == *real));
+    let same = |input: &&Path| {
+        real.as_ref()
+            .is_ok_and(|real| input.canonicalize().is_ok_and(|input| input == *real))
+    };
     match inputs.iter().find(|input| same(input)) {
         Some(input) => Err(fault(input, WriteFault::Input)),
         None => Ok(()),

@@ -1,6 +1,8 @@
 //! The last part of a replacement: complete new results take their places.
 
-use super::list::{DONE, Files, HIDDEN, Hidden, Kind, LIST, expanded, files_of, listed, with_nested, write_list};
+use super::list::{
+    DONE, Files, HIDDEN, Hidden, Kind, LIST, expanded, files_of, listed, with_nested, write_list,
+};
 use super::{fault, lock};
 use crate::{WriteError, WriteFault, atomic};
 use std::collections::BTreeSet;
@@ -9,7 +11,8 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-/// Ends a replacement that was interrupted after the new results were complete; for who reads a folder of results.
+/// Ends a replacement that was interrupted after the new results were complete; for who reads a
+/// folder of results.
 ///
 /// # Errors
 ///
@@ -22,10 +25,16 @@ pub fn settle(folder: &Path) -> Result<(), WriteError> {
     settle_locked(folder)
 }
 
-/// The kinds of results in a folder that are complete and not in their places; none where it cannot be read, which its reader reports.
+/// The kinds of results in a folder that are complete and not in their places; none where it cannot
+/// be read, which its reader reports.
 fn complete(folder: &Path) -> Vec<Kind> {
-    let names = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name());
-    let kind = |name: OsString| Kind::of_name(name.to_str()?.strip_prefix(HIDDEN)?.strip_suffix(DONE)?);
+    let names = fs::read_dir(folder)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.file_name());
+    let kind =
+        |name: OsString| Kind::of_name(name.to_str()?.strip_prefix(HIDDEN)?.strip_suffix(DONE)?);
     names.filter_map(kind).collect()
 }
 
@@ -36,7 +45,10 @@ pub(super) fn settle_locked(folder: &Path) -> Result<(), WriteError> {
         // Until the end, the old and the new ones are ours.
         let old = expanded(folder, &old);
         write_list(folder, kind, &old.union(&new).cloned().collect())?;
-        for name in listed(&done, Hidden::Ours)?.into_iter().filter(|name| name != LIST) {
+        for name in listed(&done, Hidden::Ours)?
+            .into_iter()
+            .filter(|name| name != LIST)
+        {
             check_folders(folder, &name)?;
             let (from, to) = (done.join(&name), folder.join(&name));
             make_parent(&to)?;
@@ -53,7 +65,11 @@ pub(super) fn settle_locked(folder: &Path) -> Result<(), WriteError> {
 /// Refuses a name whose folders are links: the files would lie elsewhere.
 pub(super) fn check_folders(folder: &Path, name: &str) -> Result<(), WriteError> {
     let mut path = folder.to_path_buf();
-    for part in Path::new(name).parent().into_iter().flat_map(Path::components) {
+    for part in Path::new(name)
+        .parent()
+        .into_iter()
+        .flat_map(Path::components)
+    {
         path.push(part);
         if fs::symlink_metadata(&path).is_ok_and(|kind| !kind.is_dir()) {
             return Err(fault(&path, WriteFault::Foreign));
@@ -63,7 +79,9 @@ pub(super) fn check_folders(folder: &Path, name: &str) -> Result<(), WriteError>
 }
 
 pub(super) fn make_parent(path: &Path) -> Result<(), WriteError> {
-    path.parent().map_or(Ok(()), |parent| fs::create_dir_all(parent).map_err(|e| WriteError::io(parent, e)))
+    path.parent().map_or(Ok(()), |parent| {
+        fs::create_dir_all(parent).map_err(|e| WriteError::io(parent, e))
+    })
 }
 
 /// Removes files of ours, and the folders that become empty by that.

@@ -27,7 +27,10 @@ fn state(folder: &Path) -> Vec<(String, String)> {
             if entry.file_type().unwrap().is_dir() {
                 open.push(name);
             } else {
-                all.push((name.to_string_lossy().into_owned(), fs::read_to_string(entry.path()).unwrap()));
+                all.push((
+                    name.to_string_lossy().into_owned(),
+                    fs::read_to_string(entry.path()).unwrap(),
+                ));
             }
         }
     }
@@ -43,7 +46,9 @@ fn commit(folder: &Path, new: &[(&str, &str)]) {
 }
 
 fn owned(list: &[(&str, &str)]) -> Vec<(String, String)> {
-    list.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect()
+    list.iter()
+        .map(|(name, text)| ((*name).to_owned(), (*text).to_owned()))
+        .collect()
 }
 
 const OLD: [(&str, &str); 3] = [("depth/0", "old"), ("list", "old"), ("train/0", "old")];
@@ -55,10 +60,21 @@ fn commit_replaces_our_files_and_no_others() {
     write(dir.path(), "depth/thesis.txt", "mine");
     commit(dir.path(), &OLD);
     write(dir.path(), "train/notes.txt", "mine");
-    let all = [&OLD[..1], &[("depth/thesis.txt", "mine")], &OLD[1..], &[("train/notes.txt", "mine")]].concat();
+    let all = [
+        &OLD[..1],
+        &[("depth/thesis.txt", "mine")],
+        &OLD[1..],
+        &[("train/notes.txt", "mine")],
+    ]
+    .concat();
     assert_eq!(state(dir.path()), owned(&all));
     commit(dir.path(), &NEW);
-    let all = [&[("depth/thesis.txt", "mine")], &NEW[..], &[("train/notes.txt", "mine")]].concat();
+    let all = [
+        &[("depth/thesis.txt", "mine")],
+        &NEW[..],
+        &[("train/notes.txt", "mine")],
+    ]
+    .concat();
     assert_eq!(state(dir.path()), owned(&all));
     // Other kinds of results are not touched, nor may they be replaced.
     let mut other = ResultFolder::open(dir.path(), Kind::Render).unwrap();
@@ -67,7 +83,10 @@ fn commit_replaces_our_files_and_no_others() {
     other.commit(None).unwrap();
     assert_eq!(state(dir.path()).len(), 6);
     write(&other.begin().unwrap(), "list", "image");
-    assert!(matches!(other.commit(None).unwrap_err().fault, WriteFault::Foreign));
+    assert!(matches!(
+        other.commit(None).unwrap_err().fault,
+        WriteFault::Foreign
+    ));
     drop(other);
     commit(dir.path(), &NEW);
     assert_eq!(state(dir.path()).len(), 6);
@@ -82,7 +101,10 @@ fn foreign_files_are_refused_by_name() {
     assert!(!results.is_empty());
     for (name, file) in [("train", "train/7"), ("list", "list")] {
         let error = results.check_free([name]).unwrap_err();
-        assert!(error.kind() == ErrorKind::CannotWrite && error.path.ends_with(file), "{error}");
+        assert!(
+            error.kind() == ErrorKind::CannotWrite && error.path.ends_with(file),
+            "{error}"
+        );
         assert!(results.claim([name]).is_err());
     }
     results.check_free(["depth"]).unwrap();
@@ -113,7 +135,10 @@ fn replacements_that_were_interrupted_anywhere_are_completed() {
             let done = Kind::Capture.done(&folder);
             fs::rename(&next, &done).unwrap();
             if moved > 0 || listed {
-                let both = files_of(&folder, Kind::Capture).union(&names).cloned().collect();
+                let both = files_of(&folder, Kind::Capture)
+                    .union(&names)
+                    .cloned()
+                    .collect();
                 write_list(&folder, Kind::Capture, &both).unwrap();
             }
             for (name, _) in &NEW[..moved] {
@@ -157,9 +182,15 @@ fn nested_results_go_and_stay_with_the_folder() {
     let next = run.begin_with_old().unwrap();
     assert_eq!(fs::read(next.join("capture/train/0")).unwrap(), b"old");
     commit(&next.join("capture"), &NEW);
-    assert_eq!(fs::read(dir.path().join("capture/train/0")).unwrap(), b"old");
+    assert_eq!(
+        fs::read(dir.path().join("capture/train/0")).unwrap(),
+        b"old"
+    );
     run.commit(None).unwrap();
-    assert_eq!(fs::read(dir.path().join("capture/train/1")).unwrap(), b"new");
+    assert_eq!(
+        fs::read(dir.path().join("capture/train/1")).unwrap(),
+        b"new"
+    );
     assert!(!dir.path().join("capture/depth").exists() && run.names("capture/"));
     // The folder of an input keeps its files.
     write(&run.begin().unwrap(), "scene", "new");
@@ -167,7 +198,10 @@ fn nested_results_go_and_stay_with_the_folder() {
     assert_eq!(state(dir.path()).len(), 5);
     write(&run.begin().unwrap(), "scene", "newer");
     run.commit(None).unwrap();
-    assert_eq!(state(dir.path()), owned(&[("capture/mine", "mine"), ("scene", "newer")]));
+    assert_eq!(
+        state(dir.path()),
+        owned(&[("capture/mine", "mine"), ("scene", "newer")])
+    );
 }
 
 #[cfg(unix)]
@@ -181,11 +215,15 @@ fn inputs_and_links_are_not_replaced() {
     let results = ResultFolder::open(&at("cap"), Kind::Capture).unwrap();
     symlink(at("cap"), at("alias")).unwrap();
     for input in ["cap/train", "cap/train/0", "alias/train", "cap/../cap/list"] {
-        let error = results.check_inputs(["train", "list"], &[&at(input)]).unwrap_err();
+        let error = results
+            .check_inputs(["train", "list"], &[&at(input)])
+            .unwrap_err();
         assert!(matches!(error.fault, WriteFault::Input), "{input}");
     }
     assert!(results.check_not_itself(&[&at("alias")]).is_err());
-    results.check_inputs(["train", "list"], &[&at("images"), &at("cap/depth")]).unwrap();
+    results
+        .check_inputs(["train", "list"], &[&at("images"), &at("cap/depth")])
+        .unwrap();
     drop(results);
     // A folder of ours that became a link: nothing behind it is touched.
     fs::rename(at("cap/depth"), at("elsewhere")).unwrap();
@@ -201,7 +239,12 @@ fn inputs_and_links_are_not_replaced() {
     assert!(check_target(&at("image"), &[&at("images/0")]).is_err());
     symlink("/dev/null", at("device")).unwrap();
     symlink("nothing", at("dangling")).unwrap();
-    for target in [Path::new("/dev/full"), &at("device"), &at("images"), &at("dangling")] {
+    for target in [
+        Path::new("/dev/full"),
+        &at("device"),
+        &at("images"),
+        &at("dangling"),
+    ] {
         assert!(check_target(target, &[]).is_err(), "{}", target.display());
     }
     // A link to a file is followed: the file gets the new contents.
@@ -214,9 +257,13 @@ fn inputs_and_links_are_not_replaced() {
 fn lists_that_name_files_elsewhere_are_not_followed() {
     let dir = tempfile::tempdir().unwrap();
     write(dir.path(), "private", "mine");
-    let text = r#"{"format": "minute4d-files", "files": {"capture": ["../private", "/etc/passwd", "a"]}}"#;
+    let text =
+        r#"{"format": "minute4d-files", "files": {"capture": ["../private", "/etc/passwd", "a"]}}"#;
     write(&dir.path().join("cap"), LIST, text);
-    assert_eq!(files_of(&dir.path().join("cap"), Kind::Capture), BTreeSet::from(["a".to_owned()]));
+    assert_eq!(
+        files_of(&dir.path().join("cap"), Kind::Capture),
+        BTreeSet::from(["a".to_owned()])
+    );
     commit(&dir.path().join("cap"), &NEW);
     assert_eq!(fs::read(dir.path().join("private")).unwrap(), b"mine");
 }

@@ -1,4 +1,5 @@
-//! Binary glTF (`.glb`) with `KHR_gaussian_splatting`: one instant, 60 bytes per splat and 12 for each harmonic, in f32.
+//! Binary glTF (`.glb`) with `KHR_gaussian_splatting`: one instant, 60 bytes per splat and 12 for
+//! each harmonic, in f32.
 //!
 //! The splats are the vertices of one primitive of points:
 //!
@@ -12,8 +13,9 @@
 //!                                                      do not know the extension
 //! ```
 //!
-//! The extension is complete and ratified by Khronos (`EXTENSION_STATUS`, which is also in the file). An earlier draft had the
-//! logarithm of the scale; the readers of today (three r187 and fourdgs 0.6 were checked) take it as it is written here.
+//! The extension is complete and ratified by Khronos (`EXTENSION_STATUS`, which is also in the
+//! file). An earlier draft had the logarithm of the scale; the readers of today (three r187 and
+//! fourdgs 0.6 were checked) take it as it is written here.
 //!
 //! Source: `extensions/2.0/Khronos/KHR_gaussian_splatting` of `KhronosGroup/glTF`.
 
@@ -38,7 +40,8 @@ const FLOAT: u32 = 5126;
 const UNSIGNED_BYTE: u32 = 5121;
 const ARRAY_BUFFER: u32 = 34_962;
 
-/// Writes the splats that the instant `t` (frames) sees; the file gets its name when the bytes on the disk are compared.
+/// Writes the splats that the instant `t` (frames) sees; the file gets its name when the bytes on
+/// the disk are compared.
 pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> {
     let io = |e| WriteError::io(path, e);
     let bad = |what: String| Err(WriteError::bad(path, what));
@@ -50,29 +53,42 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     turn_splats(&mut splats);
     let count = splats.n();
     if count == 0 {
-        return bad(format!("no splat is seen at frame {t}, and glTF has no empty arrays; choose another instant"));
+        return bad(format!(
+            "no splat is seen at frame {t}, and glTF has no empty arrays; choose another instant"
+        ));
     }
-    if let Some(column) = splats.columns().iter().find(|c| !c.iter().all(|v| v.is_finite())) {
+    if let Some(column) = splats
+        .columns()
+        .iter()
+        .find(|c| !c.iter().all(|v| v.is_finite()))
+    {
         let splat = column.iter().position(|v| !v.is_finite()).unwrap_or(0);
         return bad(format!("splat {splat} holds a NaN or infinite value"));
     }
     let sections = Section::all(splats.layout().sh_degree);
     let bin = sections.iter().map(|s| s.layout().2).sum::<u64>() * count as u64;
-    let mut json = serde_json::to_vec(&document(scene, t, &splats, &sections)).map_err(|e| io(e.into()))?;
+    let mut json =
+        serde_json::to_vec(&document(scene, t, &splats, &sections)).map_err(|e| io(e.into()))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let Ok(total) = u32::try_from(12 + 8 + json.len() as u64 + 8 + bin) else {
-        return bad(format!("{count} splats take {bin} bytes, and binary glTF ends at 4 GiB"));
+        return bad(format!(
+            "{count} splats take {bin} bytes, and binary glTF ends at 4 GiB"
+        ));
     };
 
     let mut file = VerifiedFile::create(path).map_err(io)?;
     let words = |file: &mut VerifiedFile, words: &[u32]| -> io::Result<()> {
-        words.iter().try_for_each(|w| file.write_all(&w.to_le_bytes()))
+        words
+            .iter()
+            .try_for_each(|w| file.write_all(&w.to_le_bytes()))
     };
     let mut all = || {
         words(&mut file, &[MAGIC, 2, total, json.len() as u32, JSON_CHUNK])?;
         file.write_all(&json)?;
         words(&mut file, &[bin as u32, BIN_CHUNK])?;
-        sections.iter().try_for_each(|s| s.write(&splats, &mut file))
+        sections
+            .iter()
+            .try_for_each(|s| s.write(&splats, &mut file))
     };
     all().map_err(io)?;
     drop(splats);
@@ -81,7 +97,12 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
         Loss::Dropped("motion, the background and the colour corrections of the frames".into()),
     ];
     losses.extend(Loss::of_mip(scene));
-    Ok(Written { path: path.to_path_buf(), bytes: file.publish(path)?, splats: count, losses })
+    Ok(Written {
+        path: path.to_path_buf(),
+        bytes: file.publish(path)?,
+        splats: count,
+        losses,
+    })
 }
 
 /// The JSON chunk.
@@ -105,7 +126,9 @@ fn document(scene: &Scene, t: f64, splats: &Splats, sections: &[Section]) -> Val
         if section.name == "POSITION" {
             let bound = |pick: fn(f32, f32) -> f32| -> Vec<f64> {
                 let column = |k| splats.column(Column::Mean, k).iter().copied();
-                (0..3).map(|k| f64::from(column(k).reduce(pick).unwrap_or(0.0))).collect()
+                (0..3)
+                    .map(|k| f64::from(column(k).reduce(pick).unwrap_or(0.0)))
+                    .collect()
             };
             accessor["min"] = json!(bound(f32::min));
             accessor["max"] = json!(bound(f32::max));
@@ -114,7 +137,11 @@ fn document(scene: &Scene, t: f64, splats: &Splats, sections: &[Section]) -> Val
         attributes.insert(section.name.clone(), json!(i));
     }
     let clock = Clock::of(scene);
-    let time_s = if clock.assumed { None } else { Some(t * clock.step_s) };
+    let time_s = if clock.assumed {
+        None
+    } else {
+        Some(t * clock.step_s)
+    };
     let splatting = json!({
         "kernel": "ellipse",
         "colorSpace": "srgb_rec709_display",
@@ -164,7 +191,10 @@ struct Section {
 impl Section {
     /// Those of splats of a degree.
     fn all(sh_degree: usize) -> Vec<Self> {
-        let named = |name: &str, content| Self { name: name.to_owned(), content };
+        let named = |name: &str, content| Self {
+            name: name.to_owned(),
+            content,
+        };
         let own = |name: &str, content| named(&format!("{EXTENSION}:{name}"), content);
         let mut sections = vec![
             named("POSITION", Content::Position),
@@ -178,8 +208,8 @@ impl Section {
         sections
     }
 
-    /// glTF's name of the element, its number of a component's type, and bytes per splat: a multiple of 4, so that every
-    /// array is aligned.
+    /// glTF's name of the element, its number of a component's type, and bytes per splat: a
+    /// multiple of 4, so that every array is aligned.
     fn layout(&self) -> (&'static str, u32, u64) {
         match self.content {
             Content::Rotation => ("VEC4", FLOAT, 16),
@@ -206,7 +236,8 @@ impl Section {
                 }
                 Content::Fallback => {
                     // a cast to u8 clips
-                    let [r, g, b] = [0, 1, 2].map(|k| 0.5 + C0 * f64::from(at(Column::Colour, k, i)));
+                    let [r, g, b] =
+                        [0, 1, 2].map(|k| 0.5 + C0 * f64::from(at(Column::Colour, k, i)));
                     let point = [r, g, b, sigmoid(at(Column::Opacity, 0, i))];
                     out.write_all(&point.map(|v| (v * 255.0).round() as u8))?;
                 }
@@ -217,10 +248,13 @@ impl Section {
 }
 
 fn floats<const N: usize>(out: &mut impl Write, values: [f32; N]) -> io::Result<()> {
-    values.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))
+    values
+        .iter()
+        .try_for_each(|v| out.write_all(&v.to_le_bytes()))
 }
 
 /// Attributes of the harmonics of a degree, in the order of a splat's coefficients.
 fn harmonic_names(sh_degree: usize) -> impl Iterator<Item = String> {
-    (0..=sh_degree).flat_map(|l| (0..=2 * l).map(move |n| format!("{EXTENSION}:SH_DEGREE_{l}_COEF_{n}")))
+    (0..=sh_degree)
+        .flat_map(|l| (0..=2 * l).map(move |n| format!("{EXTENSION}:SH_DEGREE_{l}_COEF_{n}")))
 }

@@ -1,10 +1,11 @@
 //! Scene files: `scene.safetensors` and those of other viewers, one folder per format.
 //!
-//! A writer takes a [`m4_core::Scene`], writes the file atomically, and returns what it wrote and what the format could not
-//! hold ([`Written`]). A format with one instant, or one per frame, is given splats without time by [`instant()`]. Splats that are
-//! bound to nodes are in `scene.safetensors` alone; other writers refuse them, `minute4d export` turns them into others before. A reader
-//! takes untrusted bytes: whatever they are, it returns a scene ([`Imported`]) or an error that names the field, and
-//! allocates no more than a small multiple of the file.
+//! A writer takes a [`m4_core::Scene`], writes the file atomically, and returns what it wrote and
+//! what the format could not hold ([`Written`]). A format with one instant, or one per frame, is
+//! given splats without time by [`instant()`]. Splats that are bound to nodes are in
+//! `scene.safetensors` alone; other writers refuse them, `minute4d export` turns them into others
+//! before. A reader takes untrusted bytes: whatever they are, it returns a scene ([`Imported`]) or
+//! an error that names the field, and allocates no more than a small multiple of the file.
 
 pub mod fourdgs;
 pub mod ftgs;
@@ -25,7 +26,8 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// The constant harmonic: a colour is `1/2 + C0` times the first coefficient (docs/spec/optimiser.md 1.8).
+/// The constant harmonic: a colour is `1/2 + C0` times the first coefficient
+/// (docs/spec/optimiser.md 1.8).
 pub(crate) const C0: f64 = 0.282_094_791_773_878_14;
 
 /// What a file holds differently from the scene that it was written from, or a scene from the file.
@@ -104,8 +106,14 @@ impl Clock {
     pub fn of(scene: &Scene) -> Self {
         let steps = scene.time_frames.saturating_sub(1) as f64;
         match scene.duration_s {
-            Some(s) if s > 0.0 && steps > 0.0 => Self { step_s: s / steps, assumed: false },
-            _ => Self { step_s: 1.0 / DEFAULT_FPS, assumed: true },
+            Some(s) if s > 0.0 && steps > 0.0 => Self {
+                step_s: s / steps,
+                assumed: false,
+            },
+            _ => Self {
+                step_s: 1.0 / DEFAULT_FPS,
+                assumed: true,
+            },
         }
     }
 }
@@ -122,7 +130,10 @@ pub(crate) fn usable(frame: &SourceFrame) -> bool {
     let centre = |px: f64| px.is_finite() && px.abs() < 1e9;
     let rotation = &frame.camera.c2w.rotation;
     let turned = rotation * rotation.transpose();
-    let orthonormal = turned.iter().enumerate().all(|(i, &v)| (v - f64::from(u8::from(i % 4 == 0))).abs() < 1e-3);
+    let orthonormal = turned
+        .iter()
+        .enumerate()
+        .all(|(i, &v)| (v - f64::from(u8::from(i % 4 == 0))).abs() < 1e-3);
     side(k.width)
         && side(k.height)
         && focal(k.fx)
@@ -130,7 +141,12 @@ pub(crate) fn usable(frame: &SourceFrame) -> bool {
         && centre(k.cx)
         && centre(k.cy)
         && frame.t.is_finite()
-        && frame.camera.c2w.translation.iter().all(|v| v.abs() < MAX_PLACE)
+        && frame
+            .camera
+            .c2w
+            .translation
+            .iter()
+            .all(|v| v.abs() < MAX_PLACE)
         && orthonormal
         && rotation.determinant() > 0.0
 }
@@ -140,7 +156,10 @@ pub(crate) fn check_finite(path: &Path, scene: &Scene) -> Result<(), WriteError>
     if scene.splats.is_finite() {
         return Ok(());
     }
-    Err(WriteError::bad(path, "a parameter of a splat is not a finite number"))
+    Err(WriteError::bad(
+        path,
+        "a parameter of a splat is not a finite number",
+    ))
 }
 
 /// Refuses bound splats, for formats that have no nodes.
@@ -150,7 +169,13 @@ pub(crate) fn check_unbound(path: &Path, splats: &Splats) -> Result<(), WriteErr
         return Ok(());
     }
     let how = "turn them into splats of an instant or on straight lines first (m4_kernels::pose::at, pieces)";
-    Err(WriteError::bad(path, format!("{} bound to nodes, which this format does not have; {how}", plural(n, "splat"))))
+    Err(WriteError::bad(
+        path,
+        format!(
+            "{} bound to nodes, which this format does not have; {how}",
+            plural(n, "splat")
+        ),
+    ))
 }
 
 /// Writes `bytes` to `path`, atomically, and reads them back first.
@@ -169,7 +194,11 @@ pub(crate) struct VerifiedFile {
 
 impl VerifiedFile {
     pub fn create(path: &Path) -> io::Result<Self> {
-        Ok(Self { file: AtomicFile::create(path)?, hash: blake3::Hasher::new(), bytes: 0 })
+        Ok(Self {
+            file: AtomicFile::create(path)?,
+            hash: blake3::Hasher::new(),
+            bytes: 0,
+        })
     }
 
     /// Puts everything on the disk and compares it with what was written.
@@ -185,7 +214,9 @@ impl VerifiedFile {
             };
         }
         if read.finalize() != self.hash.finalize() {
-            return Err(io::Error::other("the bytes on the disk are not those that were written"));
+            return Err(io::Error::other(
+                "the bytes on the disk are not those that were written",
+            ));
         }
         Ok(())
     }

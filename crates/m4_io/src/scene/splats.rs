@@ -38,7 +38,11 @@ impl Row {
         Self {
             mean: std::array::from_fn(|k| at(Column::Mean, k)),
             log_scale: std::array::from_fn(|k| at(Column::LogScale, if isotropic { 0 } else { k })),
-            quat: if isotropic { [1.0, 0.0, 0.0, 0.0] } else { unit(std::array::from_fn(|k| at(Column::Quat, k))) },
+            quat: if isotropic {
+                [1.0, 0.0, 0.0, 0.0]
+            } else {
+                unit(std::array::from_fn(|k| at(Column::Quat, k)))
+            },
             opacity: at(Column::Opacity, 0),
         }
     }
@@ -58,8 +62,16 @@ impl Life {
 
 /// The quaternion with length 1; no rotation where it has no direction.
 pub(crate) fn unit(q: [f32; 4]) -> [f32; 4] {
-    let norm = q.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>().sqrt();
-    if norm > 0.0 && norm.is_finite() { q.map(|v| (f64::from(v) / norm) as f32) } else { [1.0, 0.0, 0.0, 0.0] }
+    let norm = q
+        .iter()
+        .map(|&v| f64::from(v) * f64::from(v))
+        .sum::<f64>()
+        .sqrt();
+    if norm > 0.0 && norm.is_finite() {
+        q.map(|v| (f64::from(v) / norm) as f32)
+    } else {
+        [1.0, 0.0, 0.0, 0.0]
+    }
 }
 
 /// Opacity of a logit.
@@ -74,14 +86,19 @@ pub(crate) fn logit(opacity: f64) -> f32 {
     (p / (1.0 - p)).ln() as f32
 }
 
-/// Splats from rows in any order: static ones (without a life) are put first, the order stays otherwise.
-/// `colour` fills the coefficients of the splat that was row `i`, as [`Column::Colour`] has them.
+/// Splats from rows in any order: static ones (without a life) are put first, the order stays
+/// otherwise. `colour` fills the coefficients of the splat that was row `i`, as [`Column::Colour`]
+/// has them.
 pub(crate) fn collect(
     sh_degree: usize,
     rows: &[(Row, Option<Life>)],
     mut colour: impl FnMut(usize, &mut [f32]),
 ) -> Splats {
-    let layout = SplatLayout { isotropic: false, sh_degree, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree,
+        time_degree: 0,
+    };
     let n_static = rows.iter().filter(|(_, life)| life.is_none()).count();
     let mut splats = Splats::zeros(layout, n_static, rows.len() - n_static);
     let mut next = [0, n_static];
@@ -113,25 +130,34 @@ pub(crate) fn collect(
 
 /// Opacities below this are not drawn at any place (the cut-off of the renderer, 1/255).
 const LEAST_OPACITY: f32 = 1.0 / 255.0;
-/// Splats whose marginal in time is at most this are left out of a frame (docs/spec/optimiser.md 1.3).
+/// Splats whose marginal in time is at most this are left out of a frame (docs/spec/optimiser.md
+/// 1.3).
 const LEAST_MARGINAL: f64 = 0.05;
 
 /// The splats that time `t` (frames) sees, all of them static: means moved along their velocities,
-/// opacities times the marginal in time, the harmonics of time summed up. Splats that time has faded
-/// to a marginal of 0.05 or an opacity below 1/255 are left out, as they are when the scene is rendered. Isotropic splats get
-/// three equal scales and no rotation. `period_frames` is that of the harmonics of time (docs/spec/optimiser.md 1.8: the
-/// length of the clip).
+/// opacities times the marginal in time, the harmonics of time summed up. Splats that time has
+/// faded to a marginal of 0.05 or an opacity below 1/255 are left out, as they are when the scene
+/// is rendered. Isotropic splats get three equal scales and no rotation. `period_frames` is that of
+/// the harmonics of time (docs/spec/optimiser.md 1.8: the length of the clip).
 #[must_use]
 pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
     let from = splats.layout();
-    let layout = SplatLayout { isotropic: false, sh_degree: from.sh_degree, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: from.sh_degree,
+        time_degree: 0,
+    };
     let n_static = splats.n_static();
     let value = |column, offset, row: usize| splats.column(column, offset)[row];
     let moments: Vec<Moment> = (0..splats.n())
         .filter_map(|row| {
             let opacity = value(Column::Opacity, 0, row);
             let Some(d) = row.checked_sub(n_static) else {
-                return Some(Moment { row, dt: 0.0, opacity });
+                return Some(Moment {
+                    row,
+                    dt: 0.0,
+                    opacity,
+                });
             };
             let dt = t - f64::from(value(Column::TimeMean, 0, d));
             let z = dt / f64::from(value(Column::LogTimeSd, 0, d)).exp();
@@ -142,7 +168,11 @@ pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
             let seen = marginal / (1.0 + (-f64::from(opacity)).exp());
             // a logit of exactly 1 would be infinite
             let seen = seen.min(1.0 - f64::from(f32::EPSILON)) as f32;
-            (seen >= LEAST_OPACITY).then(|| Moment { row, dt, opacity: (seen / (1.0 - seen)).ln() })
+            (seen >= LEAST_OPACITY).then(|| Moment {
+                row,
+                dt,
+                opacity: (seen / (1.0 - seen)).ln(),
+            })
         })
         .collect();
 
@@ -153,7 +183,9 @@ pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
         for k in 0..3 {
             let mean = value(Column::Mean, k, row);
             let moved = match row.checked_sub(n_static) {
-                Some(d) => (f64::from(mean) + f64::from(value(Column::Velocity, k, d)) * moment.dt) as f32,
+                Some(d) => {
+                    (f64::from(mean) + f64::from(value(Column::Velocity, k, d)) * moment.dt) as f32
+                }
                 None => mean,
             };
             out.column_mut(Column::Mean, k)[i] = moved;
@@ -162,7 +194,11 @@ pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
         }
         for k in 0..4 {
             let unit = if k == 0 { 1.0 } else { 0.0 };
-            out.column_mut(Column::Quat, k)[i] = if from.isotropic { unit } else { value(Column::Quat, k, row) };
+            out.column_mut(Column::Quat, k)[i] = if from.isotropic {
+                unit
+            } else {
+                value(Column::Quat, k, row)
+            };
         }
         out.column_mut(Column::Opacity, 0)[i] = moment.opacity;
         for c in 0..3 * terms {
@@ -187,15 +223,18 @@ struct Moment {
     opacity: f32,
 }
 
-/// The splats without harmonics of time: every colour is that in the middle of the splat's life, where
-/// each cosine is 1 (docs/spec/optimiser.md 1.8). Static splats lose nothing by that.
+/// The splats without harmonics of time: every colour is that in the middle of the splat's life,
+/// where each cosine is 1 (docs/spec/optimiser.md 1.8). Static splats lose nothing by that.
 #[must_use]
 pub fn at_peak(splats: &Splats) -> Cow<'_, Splats> {
     let from = splats.layout();
     if from.time_degree == 0 {
         return Cow::Borrowed(splats);
     }
-    let layout = SplatLayout { time_degree: 0, ..from };
+    let layout = SplatLayout {
+        time_degree: 0,
+        ..from
+    };
     let mut out = Splats::zeros(layout, splats.n_static(), splats.n_dynamic());
     for column in [
         Column::Mean,
@@ -207,14 +246,18 @@ pub fn at_peak(splats: &Splats) -> Cow<'_, Splats> {
         Column::Velocity,
     ] {
         for k in 0..layout.range(column).len() {
-            out.column_mut(column, k).copy_from_slice(splats.column(column, k));
+            out.column_mut(column, k)
+                .copy_from_slice(splats.column(column, k));
         }
     }
     let spatial = 3 * from.sh_terms();
     for c in 0..spatial {
         let sum = out.column_mut(Column::Colour, c);
         for n in 0..=from.time_degree {
-            for (sum, &term) in sum.iter_mut().zip(splats.column(Column::Colour, spatial * n + c)) {
+            for (sum, &term) in sum
+                .iter_mut()
+                .zip(splats.column(Column::Colour, spatial * n + c))
+            {
                 *sum += term;
             }
         }
@@ -222,7 +265,8 @@ pub fn at_peak(splats: &Splats) -> Cow<'_, Splats> {
     Cow::Owned(out)
 }
 
-/// Signs of real spherical harmonics when y and z change theirs: -1 for an odd number of factors y and z.
+/// Signs of real spherical harmonics when y and z change theirs: -1 for an odd number of factors y
+/// and z.
 const HARMONICS: [f32; 16] = [
     1.0, // 1
     -1.0, -1.0, 1.0, // y, z, x
@@ -265,16 +309,36 @@ mod tests {
 
     #[test]
     fn instants_evaluate_motion_and_temporal_weight() {
-        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 1 };
+        let layout = SplatLayout {
+            isotropic: true,
+            sh_degree: 0,
+            time_degree: 1,
+        };
         let mut splats = Splats::zeros(layout, 1, 2);
-        splats.column_mut(Column::TimeMean, 0).copy_from_slice(&[10.0, 90.0]);
-        splats.column_mut(Column::LogTimeSd, 0).copy_from_slice(&[2f32.ln(), 0.0]);
-        splats.column_mut(Column::Velocity, 1).copy_from_slice(&[0.5, 0.0]);
-        splats.column_mut(Column::LogScale, 0).copy_from_slice(&[-1.0, -2.0, -3.0]);
-        splats.column_mut(Column::Colour, 0).copy_from_slice(&[0.1, 0.2, 0.3]);
-        splats.column_mut(Column::Colour, 3).copy_from_slice(&[0.0, 1.0, 0.0]);
+        splats
+            .column_mut(Column::TimeMean, 0)
+            .copy_from_slice(&[10.0, 90.0]);
+        splats
+            .column_mut(Column::LogTimeSd, 0)
+            .copy_from_slice(&[2f32.ln(), 0.0]);
+        splats
+            .column_mut(Column::Velocity, 1)
+            .copy_from_slice(&[0.5, 0.0]);
+        splats
+            .column_mut(Column::LogScale, 0)
+            .copy_from_slice(&[-1.0, -2.0, -3.0]);
+        splats
+            .column_mut(Column::Colour, 0)
+            .copy_from_slice(&[0.1, 0.2, 0.3]);
+        splats
+            .column_mut(Column::Colour, 3)
+            .copy_from_slice(&[0.0, 1.0, 0.0]);
         let seen = instant(&splats, 12.0, 8.0);
-        assert_eq!((seen.n_static(), seen.n_dynamic()), (2, 0), "the third is long before its life");
+        assert_eq!(
+            (seen.n_static(), seen.n_dynamic()),
+            (2, 0),
+            "the third is long before its life"
+        );
         assert_eq!(seen.column(Column::Mean, 1), &[0.0, 1.0]);
         assert_eq!(seen.column(Column::LogScale, 2), &[-1.0, -2.0]);
         assert_eq!(seen.column(Column::Quat, 0), &[1.0, 1.0]);
@@ -286,7 +350,11 @@ mod tests {
 
     #[test]
     fn harmonics_of_time_are_summed_up() {
-        let layout = SplatLayout { isotropic: true, sh_degree: 1, time_degree: 2 };
+        let layout = SplatLayout {
+            isotropic: true,
+            sh_degree: 1,
+            time_degree: 2,
+        };
         let mut splats = Splats::zeros(layout, 1, 1);
         // red of the second spatial term
         for (n, value) in [0.5, 0.25, 2.0].into_iter().enumerate() {
@@ -301,7 +369,11 @@ mod tests {
 
     #[test]
     fn rotating_splats_rotates_covariance() {
-        let layout = SplatLayout { isotropic: false, sh_degree: 3, time_degree: 0 };
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 3,
+            time_degree: 0,
+        };
         let mut splats = Splats::zeros(layout, 1, 0);
         for (k, v) in [0.9, -0.3, 0.2, 0.4].into_iter().enumerate() {
             splats.column_mut(Column::Quat, k)[0] = v;
@@ -310,7 +382,8 @@ mod tests {
         let covariance = |s: &Splats| {
             let q = Vector4::from_fn(|k, _| f64::from(s.column(Column::Quat, k)[0])).normalize();
             let r = quat::rotation(&q);
-            r * m4_core::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0)) * r.transpose()
+            r * m4_core::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0))
+                * r.transpose()
         };
         let before = covariance(&splats);
         let mut turned = splats.clone();
@@ -347,7 +420,10 @@ mod tests {
         };
         let (here, turned) = (value(0.3, 0.5, 0.7), value(0.3, -0.5, -0.7));
         for l in 0..16 {
-            assert!((here[l] * f64::from(HARMONICS[l]) - turned[l]).abs() < 1e-12, "{l}");
+            assert!(
+                (here[l] * f64::from(HARMONICS[l]) - turned[l]).abs() < 1e-12,
+                "{l}"
+            );
         }
     }
 }

@@ -1,8 +1,8 @@
 //! `.splatv`: the file of the splaTV viewer, 64 bytes per splat.
 //!
 //! There is no specification; this is what the players `splaTV` and `gsplat.js` read. Numbers are
-//! little-endian. The file is `0x674b` and the length of the JSON as `u32`, the JSON, and one texture
-//! of `texwidth x texheight` texels of four `u32`:
+//! little-endian. The file is `0x674b` and the length of the JSON as `u32`, the JSON, and one
+//! texture of `texwidth x texheight` texels of four `u32`:
 //!
 //! ```text
 //! JSON    [{"type": "splat", "size": bytes, "texwidth": 4096, "texheight": rows, "cameras": [...]}]
@@ -13,10 +13,11 @@
 //! word 13, 14  change of the rotation, 4 halves per clip  word 15      middle of its life, its length s
 //! ```
 //!
-//! Time runs from 0 to 1; a splat is drawn with its opacity times `exp(-((t - middle) / s)^2)`, so that
-//! `s` is the square root of 2 times our standard deviation, and not at all where that is below 0.02.
-//! The tail of the last row of the texture is zeros. A camera is written as in the `cameras.json` of
-//! 3DGS, with `cx`, `cy` and `time` besides; what else a scene knows is under the key `minute4d`.
+//! Time runs from 0 to 1; a splat is drawn with its opacity times `exp(-((t - middle) / s)^2)`, so
+//! that `s` is the square root of 2 times our standard deviation, and not at all where that is
+//! below 0.02. The tail of the last row of the texture is zeros. A camera is written as in the
+//! `cameras.json` of 3DGS, with `cx`, `cy` and `time` besides; what else a scene knows is under the
+//! key `minute4d`.
 
 use super::splats::{Life, Row, sigmoid};
 use super::{C0, Loss, Written, at_peak, check_finite, check_unbound, plural, publish};
@@ -39,8 +40,9 @@ const TEX_WIDTH: usize = 4096;
 /// The longest life that is written, clips; a static splat has it.
 const LONGEST_LIFE: f64 = 60_000.0;
 
-/// Writes a scene, atomically. Colours become those in the middle of each splat's life, seen from all sides alike. Fails
-/// when the scene has values that are not finite or too large for a half, or the file system refuses.
+/// Writes a scene, atomically. Colours become those in the middle of each splat's life, seen from
+/// all sides alike. Fails when the scene has values that are not finite or too large for a half, or
+/// the file system refuses.
 pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
     check_finite(path, scene)?;
     check_unbound(path, &scene.splats)?;
@@ -73,7 +75,12 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
     }
     bytes.resize(8 + json.len() + texture, 0);
     publish(path, &bytes)?;
-    Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: n, losses: losses(scene, worst * last) })
+    Ok(Written {
+        path: path.to_path_buf(),
+        bytes: bytes.len() as u64,
+        splats: n,
+        losses: losses(scene, worst * last),
+    })
 }
 
 /// Two halves in a word, the first in the low bits.
@@ -89,7 +96,9 @@ fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), Strin
         if rounded.is_finite() {
             Ok(rounded)
         } else {
-            Err(format!("{what} of splat {i} is {value:.3e}, and a half holds 65504 at most"))
+            Err(format!(
+                "{what} of splat {i} is {value:.3e}, and a half holds 65504 at most"
+            ))
         }
     };
     // A half below the smallest one would be a splat without extent.
@@ -102,7 +111,10 @@ fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), Strin
     let life = Life::of(splats, i);
     let (middle, length) = life.map_or((0.0, LONGEST_LIFE), |l| {
         let sd = f64::from(l.log_time_sd).exp();
-        (f64::from(l.time_mean) / last, (SQRT_2 * sd / last).min(LONGEST_LIFE))
+        (
+            f64::from(l.time_mean) / last,
+            (SQRT_2 * sd / last).min(LONGEST_LIFE),
+        )
     });
     let centre = half("the middle of the life", middle)?;
     let shift = f64::from(centre) - middle;
@@ -112,10 +124,14 @@ fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), Strin
         *half_way = half("the motion", v)?;
     }
     // Where the splat is at the moment that its middle was rounded to.
-    let mean: [f32; 3] = std::array::from_fn(|k| (f64::from(row.mean[k]) + velocity[k] * shift) as f32);
+    let mean: [f32; 3] =
+        std::array::from_fn(|k| (f64::from(row.mean[k]) + velocity[k] * shift) as f32);
     let quat = row.quat.map(f16::from_f32);
     // 0 would be never.
-    let length = half("the length of the life", length.max(f64::from(f16::MIN_POSITIVE_SUBNORMAL)))?;
+    let length = half(
+        "the length of the life",
+        length.max(f64::from(f16::MIN_POSITIVE_SUBNORMAL)),
+    )?;
     let words = [
         mean[0].to_bits(),
         mean[1].to_bits(),
@@ -142,20 +158,31 @@ fn losses(scene: &Scene, worst_shift: f64) -> Vec<Loss> {
     let mut losses = Vec::new();
     if layout.time_degree > 0 {
         losses.push(Loss::Baked(
-            "the harmonics of time: every colour is that in the middle of the splat's lifetime".to_owned(),
+            "the harmonics of time: every colour is that in the middle of the splat's lifetime"
+                .to_owned(),
         ));
     }
     if layout.sh_degree > 0 {
-        losses.push(Loss::Dropped("the spherical harmonics: a colour is the same from every direction".to_owned()));
+        losses.push(Loss::Dropped(
+            "the spherical harmonics: a colour is the same from every direction".to_owned(),
+        ));
     }
     if scene.mip {
-        losses.push(Loss::Dropped("the Mip filter for players (the header says that the scene wants it)".to_owned()));
+        losses.push(Loss::Dropped(
+            "the Mip filter for players (the header says that the scene wants it)".to_owned(),
+        ));
     }
-    if scene.source.iter().any(|s| s.exposure != m4_core::Exposure::IDENTITY) {
+    if scene
+        .source
+        .iter()
+        .any(|s| s.exposure != m4_core::Exposure::IDENTITY)
+    {
         losses.push(Loss::Dropped("the exposure of every frame".to_owned()));
     }
     losses.push(Loss::Quantised("colours and opacities to bytes".to_owned()));
-    losses.push(Loss::Quantised("scales and rotations to halves, 11 bits".to_owned()));
+    losses.push(Loss::Quantised(
+        "scales and rotations to halves, 11 bits".to_owned(),
+    ));
     if scene.splats.n_dynamic() > 0 {
         losses.push(Loss::Quantised(format!(
             "of {}: motions and durations to 11 bits, moments by up to {worst_shift:.3} frames",
@@ -177,7 +204,8 @@ struct Part {
     minute4d: Facts,
 }
 
-/// A camera as in the `cameras.json` of 3DGS: OpenCV axes, `rotation` is camera to world, row by row.
+/// A camera as in the `cameras.json` of 3DGS: OpenCV axes, `rotation` is camera to world, row by
+/// row.
 #[derive(Debug, Serialize)]
 struct View {
     id: u64,
@@ -249,7 +277,12 @@ mod tests {
     use serde_json::{Value, json};
 
     fn scene() -> Scene {
-        random_scene(&SceneSpec { n_static: 300, n_dynamic: 900, time_frames: 41, ..SceneSpec::default() })
+        random_scene(&SceneSpec {
+            n_static: 300,
+            n_dynamic: 900,
+            time_frames: 41,
+            ..SceneSpec::default()
+        })
     }
 
     /// The 16 words of every splat in a texture.
@@ -282,25 +315,48 @@ mod tests {
         let length = u32::from_le_bytes(bytes[4..8].try_into().unwrap()) as usize;
         assert_eq!(bytes.len(), 8 + length + 2 * 4096 * 16);
         let part = &serde_json::from_slice::<Value>(&bytes[8..8 + length]).unwrap()[0];
-        assert_eq!((&part["type"], &part["size"]), (&json!("splat"), &json!(2 * 4096 * 16)));
-        assert_eq!((&part["texwidth"], &part["texheight"]), (&json!(4096), &json!(2)));
+        assert_eq!(
+            (&part["type"], &part["size"]),
+            (&json!("splat"), &json!(2 * 4096 * 16))
+        );
+        assert_eq!(
+            (&part["texwidth"], &part["texheight"]),
+            (&json!(4096), &json!(2))
+        );
         let facts = &part["minute4d"];
-        assert_eq!((&facts["time_frames"], &facts["mip"]), (&json!(41), &json!(true)));
-        assert_eq!(part["cameras"].as_array().unwrap().len(), scene.source.len());
+        assert_eq!(
+            (&facts["time_frames"], &facts["mip"]),
+            (&json!(41), &json!(true))
+        );
+        assert_eq!(
+            part["cameras"].as_array().unwrap().len(),
+            scene.source.len()
+        );
         let (camera, frame) = (&part["cameras"][1], &scene.source[1]);
         assert_eq!(camera["fx"], json!(frame.camera.intrinsics.fx));
-        assert_eq!(camera["rotation"][0][2], json!(frame.camera.c2w.rotation[(0, 2)]));
+        assert_eq!(
+            camera["rotation"][0][2],
+            json!(frame.camera.c2w.rotation[(0, 2)])
+        );
         assert_eq!(camera["time"], json!(frame.t / 40.0));
 
         let splats = &scene.splats;
         let half = |v: f64, w: f64| (v - w).abs() <= v.abs() / 2048.0 + 1e-7;
         let drawn = texture(&bytes[8 + length..]);
-        assert!(drawn[splats.n()..].iter().all(|words| *words == [0; 16]), "the tail is zeros");
+        assert!(
+            drawn[splats.n()..].iter().all(|words| *words == [0; 16]),
+            "the tail is zeros"
+        );
         for (i, words) in drawn.iter().take(splats.n()).enumerate() {
             let row = Row::of(splats, i);
             let mean = [words[0], words[1], words[2]].map(f32::from_bits);
             let ([w, x], [y, z]) = (halves(words[3]), halves(words[4]));
-            assert!(Vector4::from(row.quat.map(f64::from)).dot(&Vector4::new(w, x, y, z)).abs() > 1.0 - 1e-3);
+            assert!(
+                Vector4::from(row.quat.map(f64::from))
+                    .dot(&Vector4::new(w, x, y, z))
+                    .abs()
+                    > 1.0 - 1e-3
+            );
             let ([sx, sy], [sz, _]) = (halves(words[5]), halves(words[6]));
             for (k, scale) in [sx, sy, sz].into_iter().enumerate() {
                 let want = f64::from(row.log_scale[k]).exp();
@@ -308,18 +364,27 @@ mod tests {
             }
             let [r, g, b, a] = words[7].to_le_bytes().map(|v| f64::from(v) / 255.0);
             for (k, value) in [r, g, b].into_iter().enumerate() {
-                let want = f64::from(splats.column(Column::Colour, k)[i]) * 0.282_094_791_773_878_14 + 0.5;
+                let want =
+                    f64::from(splats.column(Column::Colour, k)[i]) * 0.282_094_791_773_878_14 + 0.5;
                 assert!((want.clamp(0.0, 1.0) - value).abs() < 0.501 / 255.0);
             }
             assert!((sigmoid(row.opacity) - a).abs() < 0.501 / 255.0);
-            let ([vx, vy], [vz, _], [middle, length]) = (halves(words[8]), halves(words[9]), halves(words[15]));
+            let ([vx, vy], [vz, _], [middle, length]) =
+                (halves(words[8]), halves(words[9]), halves(words[15]));
             let Some(life) = Life::of(splats, i) else {
-                assert_eq!((mean, [vx, vy, vz]), (row.mean, [0.0; 3]), "static means are exact");
+                assert_eq!(
+                    (mean, [vx, vy, vz]),
+                    (row.mean, [0.0; 3]),
+                    "static means are exact"
+                );
                 assert!(length > 50_000.0);
                 continue;
             };
             // exp(-(dt / s)^2) = exp(-dt^2 / 2 sd^2), in clips of 40 frames
-            assert!(half(2f64.sqrt() * f64::from(life.log_time_sd).exp() / 40.0, length));
+            assert!(half(
+                2f64.sqrt() * f64::from(life.log_time_sd).exp() / 40.0,
+                length
+            ));
             let dt = 40.0 * middle - f64::from(life.time_mean);
             assert!(dt.abs() <= 40.0 / 4096.0 + 1e-5);
             for (k, velocity) in [vx, vy, vz].into_iter().enumerate() {
@@ -339,9 +404,16 @@ mod tests {
         let error = write(&dir.path().join("a.splatv"), &scene).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::BadData);
         assert!(error.to_string().contains("motion of splat 303"), "{error}");
-        let layout = SplatLayout { isotropic: true, sh_degree: 1, time_degree: 1 };
+        let layout = SplatLayout {
+            isotropic: true,
+            sh_degree: 1,
+            time_degree: 1,
+        };
         scene.splats = Splats::zeros(layout, 1, 1);
         let losses = write(&dir.path().join("a.splatv"), &scene).unwrap().losses;
-        assert!(matches!(losses[..2], [Loss::Baked(_), Loss::Dropped(_)]), "{losses:?}");
+        assert!(
+            matches!(losses[..2], [Loss::Baked(_), Loss::Dropped(_)]),
+            "{losses:?}"
+        );
     }
 }

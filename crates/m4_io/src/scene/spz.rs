@@ -13,9 +13,9 @@
 //! harmonics   n x k x 3 x u8 128 c + 128, k = (degree + 1)^2 - 1
 //! ```
 //!
-//! Flag 1 says that splats were trained with the opacity-compensated filter. By convention worlds are
-//! right, up, back (RUB); `splat-transform` 3.7 expects the axes of a PLY instead.
-//! Version 4 (streams of zstd) is not written: fewer players know it.
+//! Flag 1 says that splats were trained with the opacity-compensated filter. By convention worlds
+//! are right, up, back (RUB); `splat-transform` 3.7 expects the axes of a PLY instead. Version 4
+//! (streams of zstd) is not written: fewer players know it.
 //!
 //! Source: the README of `nianticlabs/spz`.
 
@@ -30,10 +30,14 @@ use std::path::Path;
 /// Effort of gzip: that of zlib.
 const GZIP_LEVEL: u32 = 6;
 
-/// Writes the splats that the instant `t` (frames) sees; the file gets its name when the bytes on the disk are compared.
+/// Writes the splats that the instant `t` (frames) sees; the file gets its name when the bytes on
+/// the disk are compared.
 pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> {
     if !t.is_finite() {
-        return Err(WriteError::bad(path, format!("t = {t}; a number of frames was expected")));
+        return Err(WriteError::bad(
+            path,
+            format!("t = {t}; a number of frames was expected"),
+        ));
     }
     check_unbound(path, &scene.splats)?;
     let io = |e| WriteError::io(path, e);
@@ -44,11 +48,18 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     drop(splats);
     let mut file = VerifiedFile::create(path).map_err(io)?;
     // neither name nor time of day: the same scene gives the same bytes
-    let mut stream = GzBuilder::new().mtime(0).write(&mut file, Compression::new(GZIP_LEVEL));
+    let mut stream = GzBuilder::new()
+        .mtime(0)
+        .write(&mut file, Compression::new(GZIP_LEVEL));
     stream.write_all(&encoded.bytes).map_err(io)?;
     stream.finish().map_err(io)?;
     let bytes = file.publish(path)?;
-    Ok(Written { path: path.to_path_buf(), bytes, splats: count, losses: losses(scene, t, &encoded) })
+    Ok(Written {
+        path: path.to_path_buf(),
+        bytes,
+        splats: count,
+        losses: losses(scene, t, &encoded),
+    })
 }
 
 fn losses(scene: &Scene, t: f64, encoded: &Encoded) -> Vec<Loss> {
@@ -59,12 +70,18 @@ fn losses(scene: &Scene, t: f64, encoded: &Encoded) -> Vec<Loss> {
     let mut losses = vec![
         Loss::Baked(format!("everything, at frame {t}")),
         Loss::Dropped("motion, the background and the colour corrections of the frames".into()),
-        Loss::Quantised(format!("positions to steps of 2^-{} units", encoded.header.fractional_bits)),
+        Loss::Quantised(format!(
+            "positions to steps of 2^-{} units",
+            encoded.header.fractional_bits
+        )),
         Loss::Quantised(format!(
             "scales to steps of 6.4 %{}, opacities to 1/255, rotations to 0.0014",
             clipped(encoded.clipped_scales, "e^-10 to e^5.94")
         )),
-        Loss::Quantised(format!("colours to steps of 1/136{}", clipped(encoded.clipped_colours, "-0.44 to 1.44"))),
+        Loss::Quantised(format!(
+            "colours to steps of 1/136{}",
+            clipped(encoded.clipped_colours, "-0.44 to 1.44")
+        )),
     ];
     if scene.splats.layout().sh_degree > 0 {
         losses.push(Loss::Quantised(format!(
@@ -79,7 +96,8 @@ fn losses(scene: &Scene, t: f64, encoded: &Encoded) -> Vec<Loss> {
 const POSITION_STEPS: f64 = ((1 << 23) - 1) as f64;
 /// Most fractional bits that are used: steps of a four-millionth of a unit.
 const MAX_FRACTIONAL_BITS: u8 = 22;
-/// Bits that are kept of a harmonic of degree 1, and of degrees 2 and 3: those of the reference encoder.
+/// Bits that are kept of a harmonic of degree 1, and of degrees 2 and 3: those of the reference
+/// encoder.
 const SH1_BITS: u8 = 5;
 const SH_REST_BITS: u8 = 4;
 /// Step of an ln scale: 1/16.
@@ -97,11 +115,13 @@ struct Encoded {
     clipped_harmonics: usize,
 }
 
-/// Packs static splats; fails with the row of a position that is NaN or beyond the range of the format.
+/// Packs static splats; fails with the row of a position that is NaN or beyond the range of the
+/// format.
 fn encode(splats: &Splats, mip: bool) -> Result<Encoded, String> {
     let n = splats.n();
     let header = Header {
-        splats: u32::try_from(n).map_err(|_| format!("it has {n} splats; the format counts up to 2^32 - 1"))?,
+        splats: u32::try_from(n)
+            .map_err(|_| format!("it has {n} splats; the format counts up to 2^32 - 1"))?,
         sh_degree: splats.layout().sh_degree as u8,
         fractional_bits: fractional_bits(splats)?,
         flags: if mip { FLAG_ANTIALIASED } else { 0 },
@@ -114,7 +134,9 @@ fn encode(splats: &Splats, mip: bool) -> Result<Encoded, String> {
         clipped_harmonics: 0,
     };
     out.bytes.extend(header.to_bytes());
-    let columns = |column, len: usize| -> Vec<&[f32]> { (0..len).map(|k| splats.column(column, k)).collect() };
+    let columns = |column, len: usize| -> Vec<&[f32]> {
+        (0..len).map(|k| splats.column(column, k)).collect()
+    };
     let steps_per_unit = f64::from(1u32 << header.fractional_bits);
     let (mean, opacity) = (columns(Column::Mean, 3), splats.column(Column::Opacity, 0));
     for i in 0..n {
@@ -123,7 +145,8 @@ fn encode(splats: &Splats, mip: bool) -> Result<Encoded, String> {
             out.bytes.extend_from_slice(&steps.to_le_bytes()[..3]);
         }
     }
-    out.bytes.extend(opacity.iter().map(|&o| (255.0 * sigmoid(o)).round() as u8));
+    out.bytes
+        .extend(opacity.iter().map(|&o| (255.0 * sigmoid(o)).round() as u8));
     let colour = columns(Column::Colour, 3);
     for i in 0..n {
         for column in &colour {
@@ -165,7 +188,9 @@ fn fractional_bits(splats: &Splats) -> Result<u8, String> {
             let v = f64::from(*v).abs();
             let fits = |b: &u8| v * f64::from(1u32 << b) <= POSITION_STEPS;
             let fit = (0..=bits).rev().find(fits);
-            bits = fit.ok_or_else(|| format!("splat {row} lies at {v} along axis {k}; up to {POSITION_STEPS} fits"))?;
+            bits = fit.ok_or_else(|| {
+                format!("splat {row} lies at {v} along axis {k}; up to {POSITION_STEPS} fits")
+            })?;
         }
     }
     Ok(bits)
@@ -175,7 +200,10 @@ fn fractional_bits(splats: &Splats) -> Result<u8, String> {
 fn smallest_three(q: [f32; 4]) -> u32 {
     let [w, x, y, z] = unit(q);
     let q = [x, y, z, w];
-    let largest = (1..4).fold(0, |best, i| if q[i].abs() > q[best].abs() { i } else { best });
+    let largest = (1..4).fold(
+        0,
+        |best, i| if q[i].abs() > q[best].abs() { i } else { best },
+    );
     let turn = q[largest] < 0.0;
     let mut packed = largest as u32;
     for (i, v) in q.into_iter().enumerate() {
@@ -218,7 +246,8 @@ struct Header {
 }
 
 impl Header {
-    /// Bytes of all blocks: positions, alphas, colours, scales, rotations, harmonics beyond degree 0.
+    /// Bytes of all blocks: positions, alphas, colours, scales, rotations, harmonics beyond degree
+    /// 0.
     fn payload_bytes(&self) -> u64 {
         let terms = (u64::from(self.sh_degree) + 1).pow(2) - 1;
         u64::from(self.splats) * (9 + 1 + 3 + 3 + 4 + 3 * terms)
@@ -243,8 +272,9 @@ mod tests {
         // half a turn about x: x is the largest (index 0), the rest is 0
         let packed = smallest_three([0.0, 2.0, 0.0, 0.0]);
         assert_eq!(packed, 0);
-        // a quarter of a turn about z, negated: z = w = -1/sqrt(2); z comes first and is the largest
-        // (index 2), and the sign turns, so x = 0 (negative zero turned), y the same, w = +511
+        // a quarter of a turn about z, negated: z = w = -1/sqrt(2); z comes first and is the
+        // largest (index 2), and the sign turns, so x = 0 (negative zero turned), y the same, w =
+        // +511
         let h = -std::f32::consts::FRAC_1_SQRT_2;
         let packed = smallest_three([h, 0.0, 0.0, h]);
         assert_eq!(packed >> 30, 2);

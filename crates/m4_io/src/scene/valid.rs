@@ -12,17 +12,26 @@ pub(crate) fn fault(scene: &Scene) -> Option<String> {
     if let Some(what) = range::of_splats(&scene.splats).or_else(|| of_facts(scene)) {
         return Some(what);
     }
-    let of_frame =
-        |(i, frame): (usize, &SourceFrame)| Some(format!("frame {i} of the source has {}", of_source(frame)?));
+    let of_frame = |(i, frame): (usize, &SourceFrame)| {
+        Some(format!("frame {i} of the source has {}", of_source(frame)?))
+    };
     scene.source.iter().enumerate().find_map(of_frame)
 }
 
 fn of_facts(scene: &Scene) -> Option<String> {
     let near = f64::from(scene.near);
-    let colours = scene.background.map(|v| ("the background", f64::from(v), range::COLOUR, ""));
-    let duration = scene.duration_s.map(|s| ("the duration", s, 0.0..=*range::SECONDS.end(), "seconds"));
-    let mut all = colours.into_iter().chain([("near", near, range::NEAR, "scene units")]).chain(duration);
-    let fault = all.find_map(|(field, value, range, unit)| range::of_number(field, value, &range, unit));
+    let colours = scene
+        .background
+        .map(|v| ("the background", f64::from(v), range::COLOUR, ""));
+    let duration = scene
+        .duration_s
+        .map(|s| ("the duration", s, 0.0..=*range::SECONDS.end(), "seconds"));
+    let mut all = colours
+        .into_iter()
+        .chain([("near", near, range::NEAR, "scene units")])
+        .chain(duration);
+    let fault =
+        all.find_map(|(field, value, range, unit)| range::of_number(field, value, &range, unit));
     if fault.is_some() {
         return fault;
     }

@@ -1,4 +1,5 @@
-//! Converts the values of a video stream to sRGB, those of high dynamic range (BT.2100 PQ and HLG) too.
+//! Converts the values of a video stream to sRGB, those of high dynamic range (BT.2100 PQ and HLG)
+//! too.
 
 use m4_core::{Plane, RgbImage};
 use rayon::prelude::*;
@@ -25,7 +26,11 @@ pub struct Colours {
 
 impl Default for Colours {
     fn default() -> Self {
-        Self { transfer: 2, matrix: 2, full_range: None }
+        Self {
+            transfer: 2,
+            matrix: 2,
+            full_range: None,
+        }
     }
 }
 
@@ -55,8 +60,9 @@ pub struct YuvMatrix {
 }
 
 impl YuvMatrix {
-    /// By the code of ITU-T H.273 table 4; what is unspecified (2) is guessed as players do: BT.601 below
-    /// 720 rows, BT.709 from there. `None` for codes of other kinds (RGB, YCgCo, constant luminance).
+    /// By the code of ITU-T H.273 table 4; what is unspecified (2) is guessed as players do: BT.601
+    /// below 720 rows, BT.709 from there. `None` for codes of other kinds (RGB, YCgCo, constant
+    /// luminance).
     pub fn from_code(code: u16, height: usize, range: Range) -> Option<Self> {
         let (kr, kb) = match code {
             1 => (0.2126, 0.0722),
@@ -70,8 +76,9 @@ impl YuvMatrix {
         Some(Self { kr, kb, range })
     }
 
-    /// An image from its 4:2:0 planes: luma, blue, red. Chroma lies at the left luma column and between two luma rows
-    /// (MPEG-2 siting, H.264's default) and is interpolated. `None` if the length is wrong.
+    /// An image from its 4:2:0 planes: luma, blue, red. Chroma lies at the left luma column and
+    /// between two luma rows (MPEG-2 siting, H.264's default) and is interpolated. `None` if the
+    /// length is wrong.
     pub fn image_420(&self, (width, height): (usize, usize), planes: &[u8]) -> Option<RgbImage> {
         if width == 0 || height == 0 || planes.len() != bytes_420((width, height)) {
             return None;
@@ -84,7 +91,11 @@ impl YuvMatrix {
         data.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             let luma = &luma[y * width..][..width];
             let near = y / 2;
-            let far = if y % 2 == 0 { near.saturating_sub(1) } else { (near + 1).min(half_height - 1) };
+            let far = if y % 2 == 0 {
+                near.saturating_sub(1)
+            } else {
+                (near + 1).min(half_height - 1)
+            };
             // Chroma of the whole row first, so that the arithmetic below runs over plain arrays.
             let line = |plane: &[u8]| -> Vec<f32> {
                 let a = &plane[near * half_width..][..half_width];
@@ -92,7 +103,10 @@ impl YuvMatrix {
                 let blend = |(&a, &b)| 0.75 * f32::from(a) + 0.25 * f32::from(b);
                 let half: Vec<f32> = a.iter().zip(b).map(blend).collect();
                 let next = half[1..].iter().chain(half.last());
-                half.iter().zip(next).flat_map(|(&a, &b)| [a, 0.5 * (a + b)]).collect()
+                half.iter()
+                    .zip(next)
+                    .flat_map(|(&a, &b)| [a, 0.5 * (a + b)])
+                    .collect()
             };
             let (u, v) = (line(cb), line(cr));
             for (((pixel, &l), &u), &v) in row.iter_mut().zip(luma).zip(&u).zip(&v) {
@@ -118,7 +132,8 @@ impl YuvMatrix {
         }
     }
 
-    /// Luma and chroma of a colour, each 0..255 before rounding: the inverse of the conversion above.
+    /// Luma and chroma of a colour, each 0..255 before rounding: the inverse of the conversion
+    /// above.
     pub fn yuv(&self, [r, g, b]: [f32; 3]) -> [f32; 3] {
         let kg = 1.0 - self.kr - self.kb;
         let y = self.kr * r + kg * g + self.kb * b;
@@ -149,7 +164,11 @@ impl Coefficients {
         let l = (l - self.black) * self.luma;
         let (u, v) = (u - 128.0, v - 128.0);
         // A cast from float saturates.
-        [(l + self.r_v * v + 0.5) as u8, (l + self.g_u * u + self.g_v * v + 0.5) as u8, (l + self.b_u * u + 0.5) as u8]
+        [
+            (l + self.r_v * v + 0.5) as u8,
+            (l + self.g_u * u + self.g_v * v + 0.5) as u8,
+            (l + self.b_u * u + 0.5) as u8,
+        ]
     }
 }
 
@@ -167,9 +186,9 @@ pub struct Planes420 {
 }
 
 impl Planes420 {
-    /// Converts an image; odd sides grow by repeating the last column or row. Chroma is sited at the
-    /// left luma column, between two rows, and weighed 1 2 1 along the row. By the calling thread alone: those that encode must not wait for
-    /// threads that wait for them.
+    /// Converts an image; odd sides grow by repeating the last column or row. Chroma is sited at
+    /// the left luma column, between two rows, and weighed 1 2 1 along the row. By the calling
+    /// thread alone: those that encode must not wait for threads that wait for them.
     pub fn new(image: &RgbImage, matrix: &YuvMatrix) -> Self {
         let (w, h) = image.size();
         let (width, height) = (w.next_multiple_of(2), h.next_multiple_of(2));
@@ -184,7 +203,11 @@ impl Planes420 {
         for (y, row) in both.chunks_mut(width / 2).enumerate() {
             for (x, value) in row.iter_mut().enumerate() {
                 let mut mean = [0.0; 3];
-                for (column, weight) in [((2 * x).saturating_sub(1), 0.125), (2 * x, 0.25), (2 * x + 1, 0.125)] {
+                for (column, weight) in [
+                    ((2 * x).saturating_sub(1), 0.125),
+                    (2 * x, 0.25),
+                    (2 * x + 1, 0.125),
+                ] {
                     for line in [2 * y, 2 * y + 1] {
                         let p = pixel(column, line);
                         (0..3).for_each(|c| mean[c] += weight * p[c]);
@@ -195,13 +218,19 @@ impl Planes420 {
             }
         }
         let chroma = [0, 1].map(|c| both.iter().map(|v| v[c]).collect());
-        Self { width, height, luma, chroma }
+        Self {
+            width,
+            height,
+            luma,
+            chroma,
+        }
     }
 }
 
 /// Luminance that becomes 1.0 before the shoulder, cd/m2: "HDR reference white" of ITU-R BT.2408.
 const REFERENCE_WHITE: f64 = 203.0;
-/// Brightest light that keeps its own tone, cd/m2: the peak that HLG and most PQ material is graded for.
+/// Brightest light that keeps its own tone, cd/m2: the peak that HLG and most PQ material is graded
+/// for.
 const PEAK: f64 = 1000.0;
 /// Linear light, relative to reference white, up to which tones are kept.
 const KNEE: f64 = 0.5;
@@ -239,14 +268,22 @@ impl Hdr {
         match self {
             Self::Pq => {
                 let (m1, m2) = (2610.0 / 16384.0, 2523.0 / 4096.0 * 128.0);
-                let (c1, c2, c3) = (3424.0 / 4096.0, 2413.0 / 4096.0 * 32.0, 2392.0 / 4096.0 * 32.0);
+                let (c1, c2, c3) = (
+                    3424.0 / 4096.0,
+                    2413.0 / 4096.0 * 32.0,
+                    2392.0 / 4096.0 * 32.0,
+                );
                 let p = signal.powf(1.0 / m2);
                 let light = ((p - c1).max(0.0) / (c2 - c3 * p)).powf(1.0 / m1);
                 light * 10_000.0 / REFERENCE_WHITE
             }
             Self::Hlg => {
                 let (a, b, c) = (0.178_832_77, 0.284_668_92, 0.559_910_73);
-                if signal <= 0.5 { signal * signal / 3.0 } else { (((signal - c) / a).exp() + b) / 12.0 }
+                if signal <= 0.5 {
+                    signal * signal / 3.0
+                } else {
+                    (((signal - c) / a).exp() + b) / 12.0
+                }
             }
         }
     }
@@ -264,12 +301,20 @@ pub struct ToneMap {
 impl ToneMap {
     pub fn new(hdr: Hdr) -> Self {
         let srgb = |x: f64| {
-            if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
+            if x <= 0.003_130_8 {
+                12.92 * x
+            } else {
+                1.055 * x.powf(1.0 / 2.4) - 0.055
+            }
         };
         Self {
             hdr,
-            linear: (0..=65535u32).map(|v| hdr.linear(f64::from(v) / 65535.0) as f32).collect(),
-            encoded: (0..4096).map(|v| (srgb(f64::from(v) / 4095.0) * 255.0).round() as u8).collect(),
+            linear: (0..=65535u32)
+                .map(|v| hdr.linear(f64::from(v) / 65535.0) as f32)
+                .collect(),
+            encoded: (0..4096)
+                .map(|v| (srgb(f64::from(v) / 4095.0) * 255.0).round() as u8)
+                .collect(),
         }
     }
 
@@ -296,7 +341,8 @@ impl ToneMap {
         narrow.map(|v| self.encoded[((v * gain).clamp(0.0, 1.0) * 4095.0).round() as usize])
     }
 
-    /// An image of rows of `width` pixels of 3 little-endian 16-bit numbers; `None` if the length is wrong.
+    /// An image of rows of `width` pixels of 3 little-endian 16-bit numbers; `None` if the length
+    /// is wrong.
     pub fn image_16(&self, width: usize, height: usize, bytes: &[u8]) -> Option<RgbImage> {
         let pixel = |p: &[u8]| {
             let channel = |i: usize| u16::from_le_bytes([p[2 * i], p[2 * i + 1]]);
@@ -326,24 +372,45 @@ mod tests {
         for code in [1, 4, 5, 6, 7, 9] {
             for range in [Range::Limited, Range::Full] {
                 let matrix = YuvMatrix::from_code(code, 480, range).unwrap();
-                for colour in [[255.0, 0.0, 0.0], [10.0, 200.0, 60.0], [0.0, 0.0, 255.0], [255.0; 3], [0.0; 3]] {
+                for colour in [
+                    [255.0, 0.0, 0.0],
+                    [10.0, 200.0, 60.0],
+                    [0.0, 0.0, 255.0],
+                    [255.0; 3],
+                    [0.0; 3],
+                ] {
                     let [l, u, v] = matrix.yuv(colour).map(|v| v.round() as u8);
-                    let got = matrix.image_420((6, 4), &[&[l; 24][..], &[u; 6], &[v; 6]].concat()).unwrap();
+                    let got = matrix
+                        .image_420((6, 4), &[&[l; 24][..], &[u; 6], &[v; 6]].concat())
+                        .unwrap();
                     for (got, want) in got.data().iter().flatten().zip(colour.iter().cycle()) {
-                        assert!((f32::from(*got) - want).abs() <= 3.0, "{code} {range:?} {colour:?} {got}");
+                        assert!(
+                            (f32::from(*got) - want).abs() <= 3.0,
+                            "{code} {range:?} {colour:?} {got}"
+                        );
                     }
                 }
             }
         }
         assert!(YuvMatrix::from_code(0, 480, Range::Full).is_none());
-        assert_eq!(YuvMatrix::from_code(2, 1080, Range::Full), YuvMatrix::from_code(1, 1080, Range::Full));
-        assert_eq!(YuvMatrix::from_code(2, 480, Range::Full), YuvMatrix::from_code(6, 480, Range::Full));
+        assert_eq!(
+            YuvMatrix::from_code(2, 1080, Range::Full),
+            YuvMatrix::from_code(1, 1080, Range::Full)
+        );
+        assert_eq!(
+            YuvMatrix::from_code(2, 480, Range::Full),
+            YuvMatrix::from_code(6, 480, Range::Full)
+        );
     }
 
     #[test]
     fn known_values_of_bt_601_and_709() {
         // Pure red, limited range: (82, 90, 240) in BT.601 and (63, 102, 240) in BT.709.
-        let limited = |code| YuvMatrix::from_code(code, 480, Range::Limited).unwrap().yuv([255.0, 0.0, 0.0]);
+        let limited = |code| {
+            YuvMatrix::from_code(code, 480, Range::Limited)
+                .unwrap()
+                .yuv([255.0, 0.0, 0.0])
+        };
         assert_eq!(limited(6).map(|v| v.round() as u8), [81, 90, 240]);
         assert_eq!(limited(1).map(|v| v.round() as u8), [63, 102, 240]);
     }
@@ -352,8 +419,12 @@ mod tests {
     fn chroma_is_interpolated_at_its_site() {
         // Chroma rising along x: a luma column x lies at chroma column x / 2.
         let matrix = YuvMatrix::from_code(6, 480, Range::Full).unwrap();
-        let cr: Vec<u8> = (0..4).flat_map(|_| (0..8).map(|i| 128 + 4 * i as u8)).collect();
-        let got = matrix.image_420((16, 8), &[&[100; 128][..], &[128; 32], &cr].concat()).unwrap();
+        let cr: Vec<u8> = (0..4)
+            .flat_map(|_| (0..8).map(|i| 128 + 4 * i as u8))
+            .collect();
+        let got = matrix
+            .image_420((16, 8), &[&[100; 128][..], &[128; 32], &cr].concat())
+            .unwrap();
         for x in 0..15 {
             let want = 100.0 + 1.402 * 2.0 * x as f64;
             assert!((f64::from(got[(x, 3)][0]) - want).abs() <= 1.0, "{x}");
@@ -364,11 +435,22 @@ mod tests {
     #[test]
     fn transfer_functions_match_the_recommendation() {
         // BT.2408 table 1: reference white is 58 % PQ and 75 % HLG.
-        assert!((Hdr::Pq.linear(0.5807) - 1.0).abs() < 0.01, "{}", Hdr::Pq.linear(0.5807));
+        assert!(
+            (Hdr::Pq.linear(0.5807) - 1.0).abs() < 0.01,
+            "{}",
+            Hdr::Pq.linear(0.5807)
+        );
         assert!((Hdr::Pq.linear(1.0) - 10_000.0 / 203.0).abs() < 1e-6);
-        assert!((Hdr::Hlg.linear(1.0) - 1.0).abs() < 1e-5 && (Hdr::Hlg.linear(0.5) - 1.0 / 12.0).abs() < 1e-9);
+        assert!(
+            (Hdr::Hlg.linear(1.0) - 1.0).abs() < 1e-5
+                && (Hdr::Hlg.linear(0.5) - 1.0 / 12.0).abs() < 1e-9
+        );
         let white = Hdr::Hlg.linear(0.75);
-        assert!((white.powf(1.2) * 1000.0 - 203.0).abs() < 1.0, "{}", white.powf(1.2) * 1000.0);
+        assert!(
+            (white.powf(1.2) * 1000.0 - 203.0).abs() < 1.0,
+            "{}",
+            white.powf(1.2) * 1000.0
+        );
     }
 
     #[test]
@@ -377,15 +459,26 @@ mod tests {
             let map = ToneMap::new(hdr);
             let greys: Vec<[u8; 3]> = (0..=255u16).map(|v| map.pixel([v * 257; 3])).collect();
             assert_eq!(greys[0], [0; 3]);
-            assert!(greys[255].iter().all(|&v| v >= 254), "{hdr:?} {:?}", greys[255]);
+            assert!(
+                greys[255].iter().all(|&v| v >= 254),
+                "{hdr:?} {:?}",
+                greys[255]
+            );
             for pair in greys.windows(2) {
-                assert!(pair[1][1] >= pair[0][1] && pair[1][1] - pair[0][1] <= 6, "{hdr:?} {pair:?}");
+                assert!(
+                    pair[1][1] >= pair[0][1] && pair[1][1] - pair[0][1] <= 6,
+                    "{hdr:?} {pair:?}"
+                );
             }
             // Reference white stays bright, a mid-grey stays a mid-grey.
             let white = map.pixel([if hdr == Hdr::Pq { 38_058 } else { 49_151 }; 3]);
             assert!((215..=240).contains(&white[1]), "{hdr:?} {white:?}");
             // Greys stay grey.
-            assert!(greys.iter().all(|p| p[0].abs_diff(p[1]) <= 1 && p[2].abs_diff(p[1]) <= 1));
+            assert!(
+                greys
+                    .iter()
+                    .all(|p| p[0].abs_diff(p[1]) <= 1 && p[2].abs_diff(p[1]) <= 1)
+            );
         }
         assert!((shoulder(1000.0 / 203.0) - 1.0).abs() < 1e-12 && shoulder(0.4) == 0.4);
     }

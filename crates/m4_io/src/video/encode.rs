@@ -1,14 +1,14 @@
 //! Encodes a clip as H.264, several pieces of it at a time.
 //!
-//! A piece begins with a frame at which a player can enter, and has an encoder and a thread of its own: bytes do not depend on the
-//! number of threads.
+//! A piece begins with a frame at which a player can enter, and has an encoder and a thread of its
+//! own: bytes do not depend on the number of threads.
 
 use super::colour::{Planes420, YuvMatrix};
 use m4_core::RgbImage;
 use openh264::OpenH264API;
 use openh264::encoder::{
-    BitRate, Encoder, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, Profile, QpRange, RateControlMode,
-    VuiConfig,
+    BitRate, Encoder, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, Profile, QpRange,
+    RateControlMode, VuiConfig,
 };
 use openh264::formats::YUVSlices;
 use std::collections::VecDeque;
@@ -21,7 +21,8 @@ use std::thread::{self, JoinHandle};
 const QP: (u8, u8) = (20, 22);
 /// Bits per second that the encoder asks for. It steers nothing in the mode that is used here.
 const NOMINAL_BITS_PER_S: u32 = 2_000_000;
-/// Length of a piece, seconds, and its fewest frames: each begins with a frame that is coded by itself.
+/// Length of a piece, seconds, and its fewest frames: each begins with a frame that is coded by
+/// itself.
 const PIECE: (f64, usize) = (1.0, 12);
 /// Images that wait to be encoded, bytes. Two may always wait.
 const WAITING_BYTES: usize = 128 << 20;
@@ -76,7 +77,10 @@ impl Pieces {
             matrix,
             length: ((PIECE.0 * fps).ceil() as usize).max(PIECE.1),
             most: rayon::current_num_threads(),
-            waiting: Arc::new(Waiting { left: Mutex::new(most), freed: Condvar::new() }),
+            waiting: Arc::new(Waiting {
+                left: Mutex::new(most),
+                freed: Condvar::new(),
+            }),
             running: VecDeque::new(),
         }
     }
@@ -84,7 +88,11 @@ impl Pieces {
     /// Takes the next image, when there is room for it. Returns the next frames that are coded.
     pub fn push(&mut self, image: RgbImage) -> Result<Vec<Coded>, Refused> {
         let mut out = Vec::new();
-        if self.running.back().is_none_or(|piece| piece.given == self.length) {
+        if self
+            .running
+            .back()
+            .is_none_or(|piece| piece.given == self.length)
+        {
             self.close();
             while self.running.len() >= self.most {
                 out.extend(self.oldest()?);
@@ -92,9 +100,14 @@ impl Pieces {
             self.start()?;
         }
         let image = Image::new(image, &self.waiting);
-        let Some(piece) = self.running.back_mut() else { return Ok(out) };
+        let Some(piece) = self.running.back_mut() else {
+            return Ok(out);
+        };
         piece.given += 1;
-        let refused = piece.images.as_ref().is_some_and(|images| images.send(image).is_err());
+        let refused = piece
+            .images
+            .as_ref()
+            .is_some_and(|images| images.send(image).is_err());
         // its thread has failed and says why
         while refused && !self.running.is_empty() {
             out.extend(self.oldest()?);
@@ -121,15 +134,24 @@ impl Pieces {
     fn start(&mut self) -> Result<(), Refused> {
         let (sender, images) = channel();
         let (fps, matrix) = (self.fps, self.matrix);
-        let thread = thread::Builder::new().name("encoder".to_owned()).spawn(move || encode(images, fps, &matrix));
-        let thread = thread.map_err(|error| Refused::Other(format!("no thread for it can be started: {error}")))?;
-        self.running.push_back(Piece { images: Some(sender), given: 0, thread });
+        let thread = thread::Builder::new()
+            .name("encoder".to_owned())
+            .spawn(move || encode(images, fps, &matrix));
+        let thread = thread
+            .map_err(|error| Refused::Other(format!("no thread for it can be started: {error}")))?;
+        self.running.push_back(Piece {
+            images: Some(sender),
+            given: 0,
+            thread,
+        });
         Ok(())
     }
 
     /// Waits for the oldest piece.
     fn oldest(&mut self) -> Result<Vec<Coded>, Refused> {
-        let Some(Piece { images, thread, .. }) = self.running.pop_front() else { return Ok(Vec::new()) };
+        let Some(Piece { images, thread, .. }) = self.running.pop_front() else {
+            return Ok(Vec::new());
+        };
         drop(images);
         thread.join().unwrap_or_else(|panic| resume_unwind(panic))
     }
@@ -157,10 +179,16 @@ impl Image {
     fn new(rgb: RgbImage, waiting: &Arc<Waiting>) -> Self {
         let mut left = waiting.lock();
         while *left == 0 {
-            left = waiting.freed.wait(left).unwrap_or_else(PoisonError::into_inner);
+            left = waiting
+                .freed
+                .wait(left)
+                .unwrap_or_else(PoisonError::into_inner);
         }
         *left -= 1;
-        Self { rgb, waiting: waiting.clone() }
+        Self {
+            rgb,
+            waiting: waiting.clone(),
+        }
     }
 }
 
@@ -194,7 +222,11 @@ fn encode(images: Receiver<Image>, fps: f64, matrix: &YuvMatrix) -> Result<Vec<C
         drop(image);
         let [cb, cr] = &planes.chroma;
         let half = planes.width / 2;
-        let source = YUVSlices::new((&planes.luma, cb, cr), (planes.width, planes.height), (planes.width, half, half));
+        let source = YUVSlices::new(
+            (&planes.luma, cb, cr),
+            (planes.width, planes.height),
+            (planes.width, half, half),
+        );
         let coded = encoder.encode(&source)?;
         let key = matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
         let bytes = coded.to_vec();

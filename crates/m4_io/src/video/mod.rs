@@ -1,11 +1,12 @@
 //! Clips: reads video files and folders of images, writes MP4.
 //!
-//! 8-bit H.264 in MP4 and MOV files is decoded by OpenH264, which is built in. Everything else goes through
-//! an `ffmpeg` on the PATH, if there is one.
+//! 8-bit H.264 in MP4 and MOV files is decoded by OpenH264, which is built in. Everything else goes
+//! through an `ffmpeg` on the PATH, if there is one.
 //!
-//! Decoders run in processes of their own, with limits ([`DecoderLimits`]): what breaks one of them is an error of
-//! the clip. `ffmpeg` is such a process anyway; for OpenH264 a program starts itself once more. That only the
-//! program can arrange, at its start; a program that does not has OpenH264 in its own process:
+//! Decoders run in processes of their own, with limits ([`DecoderLimits`]): what breaks one of them
+//! is an error of the clip. `ffmpeg` is such a process anyway; for OpenH264 a program starts itself
+//! once more. That only the program can arrange, at its start; a program that does not has OpenH264
+//! in its own process:
 //!
 //! ```no_run
 //! use m4_io::video::{DecoderProgram, serve_decoder, set_decoder_program};
@@ -20,7 +21,8 @@
 //! # }
 //! ```
 //!
-//! The program `m4_decode_h264` of this crate is such a decoder, for callers that cannot start themselves.
+//! The program `m4_decode_h264` of this crate is such a decoder, for callers that cannot start
+//! themselves.
 
 mod colour;
 mod decoder;

@@ -1,4 +1,5 @@
-//! Which part of a clip is read, how large, and within which limits: the options, the frames to keep, and their memory.
+//! Which part of a clip is read, how large, and within which limits: the options, the frames to
+//! keep, and their memory.
 
 use super::decoder::DecoderLimits;
 use crate::Fault;
@@ -15,20 +16,36 @@ pub fn check_options(options: &VideoOptions) -> Result<(), Fault> {
         Fault::option(format!("the video option {option} is {value}"), expected)
     };
     if options.max_frames == Some(0) {
-        return Err(bad("max_frames", "0".into(), "at least 1 frame must be kept"));
+        return Err(bad(
+            "max_frames",
+            "0".into(),
+            "at least 1 frame must be kept",
+        ));
     }
     if let Some(size) = options.size.filter(|&s| !(16..=16_384).contains(&s)) {
-        return Err(bad("size", size.to_string(), "16 to 16384 pixels were expected"));
+        return Err(bad(
+            "size",
+            size.to_string(),
+            "16 to 16384 pixels were expected",
+        ));
     }
     for (option, value) in [("start_s", options.start_s), ("end_s", options.end_s)] {
         if let Some(value) = value.filter(|v| !(v.is_finite() && *v >= 0.0)) {
-            return Err(bad(option, value.to_string(), "seconds, not below 0, were expected"));
+            return Err(bad(
+                option,
+                value.to_string(),
+                "seconds, not below 0, were expected",
+            ));
         }
     }
     if let (Some(start), Some(end)) = (options.start_s, options.end_s)
         && start > end
     {
-        return Err(bad("start_s", start.to_string(), "the start must come before the end (end_s)"));
+        return Err(bad(
+            "start_s",
+            start.to_string(),
+            "the start must come before the end (end_s)",
+        ));
     }
     if !(options.folder_fps.is_finite() && options.folder_fps > 0.0) {
         let expected = "frames per second, above 0, were expected";
@@ -47,30 +64,46 @@ pub fn in_range(time_s: f64, options: &VideoOptions) -> bool {
 pub fn evenly(n: usize, count: Option<usize>) -> Vec<usize> {
     match count {
         Some(1) if n > 0 => vec![0],
-        Some(k) if k < n => (0..k).map(|i| (i * (n - 1) + (k - 1) / 2) / (k - 1)).collect(),
+        Some(k) if k < n => (0..k)
+            .map(|i| (i * (n - 1) + (k - 1) / 2) / (k - 1))
+            .collect(),
         _ => (0..n).collect(),
     }
 }
 
 /// Indices of the frames to keep, given when each is shown: seconds from the first, in order.
 pub fn select(times_s: &[f64], options: &VideoOptions) -> Result<Vec<usize>, Fault> {
-    let inside: Vec<usize> = (0..times_s.len()).filter(|&i| in_range(times_s[i], options)).collect();
+    let inside: Vec<usize> = (0..times_s.len())
+        .filter(|&i| in_range(times_s[i], options))
+        .collect();
     if inside.is_empty() {
-        return Err(nothing_in_range(times_s.last().copied().unwrap_or(0.0), options));
+        return Err(nothing_in_range(
+            times_s.last().copied().unwrap_or(0.0),
+            options,
+        ));
     }
-    Ok(evenly(inside.len(), options.max_frames).into_iter().map(|i| inside[i]).collect())
+    Ok(evenly(inside.len(), options.max_frames)
+        .into_iter()
+        .map(|i| inside[i])
+        .collect())
 }
 
 /// The error of a range that holds no frame.
 pub fn nothing_in_range(duration_s: f64, options: &VideoOptions) -> Fault {
-    let (start, end) = (options.start_s.unwrap_or(0.0), options.end_s.unwrap_or(duration_s));
+    let (start, end) = (
+        options.start_s.unwrap_or(0.0),
+        options.end_s.unwrap_or(duration_s),
+    );
     let what = format!("it lasts {duration_s:.2} s and has no frame in {start:.2} s to {end:.2} s");
     Fault::bad(what, "change the start and the end")
 }
 
 /// The fault of a clip whose frames change their size.
 pub fn size_changes(from: (usize, usize), to: (usize, usize), time_s: f64) -> Fault {
-    let what = format!("its size changes from {} x {} to {} x {} at {time_s:.2} s", from.0, from.1, to.0, to.1);
+    let what = format!(
+        "its size changes from {} x {} to {} x {} at {time_s:.2} s",
+        from.0, from.1, to.0, to.1
+    );
     Fault::unsupported(what, "split it there")
 }
 
@@ -86,8 +119,14 @@ pub fn target_size(width: f64, height: f64, options: &VideoOptions) -> (usize, u
 }
 
 /// Refuses before anything is decoded.
-pub fn check_memory(frames: usize, size: (usize, usize), options: &VideoOptions) -> Result<(), Fault> {
-    let needed_bytes = [size.0, size.1, 3].iter().fold(frames as u64, |n, &side| n.saturating_mul(side as u64));
+pub fn check_memory(
+    frames: usize,
+    size: (usize, usize),
+    options: &VideoOptions,
+) -> Result<(), Fault> {
+    let needed_bytes = [size.0, size.1, 3]
+        .iter()
+        .fold(frames as u64, |n, &side| n.saturating_mul(side as u64));
     if needed_bytes <= options.max_memory_bytes {
         return Ok(());
     }
@@ -111,7 +150,11 @@ pub struct Collector {
 
 impl Collector {
     pub fn new(size: (usize, usize)) -> Self {
-        Self { size, frames: Vec::new(), warnings: Vec::new() }
+        Self {
+            size,
+            frames: Vec::new(),
+            warnings: Vec::new(),
+        }
     }
 
     pub fn len(&self) -> usize {
@@ -134,7 +177,11 @@ impl Collector {
     /// The clip, in order of time; `None` without frames.
     pub fn finish(mut self, focal_px: Option<f64>) -> Option<Video> {
         self.frames.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-        (!self.frames.is_empty()).then_some(Video { frames: self.frames, warnings: self.warnings, focal_px })
+        (!self.frames.is_empty()).then_some(Video {
+            frames: self.frames,
+            warnings: self.warnings,
+            focal_px,
+        })
     }
 }
 
@@ -143,13 +190,19 @@ pub fn thinned(kept: usize, of: usize) -> Option<String> {
     (kept < of).then(|| format!("read {kept} of {of} frames, evenly spaced"))
 }
 
-/// The warning of a clip of which `n` of `of` frames are damaged and were left out; its fault with [`VideoOptions::strict`].
+/// The warning of a clip of which `n` of `of` frames are damaged and were left out; its fault with
+/// [`VideoOptions::strict`].
 pub fn damaged(n: usize, of: usize, first: &str, options: &VideoOptions) -> Result<String, Fault> {
     if options.strict {
         let what = format!("{n} of {of} frames are damaged (the first {first})");
-        return Err(Fault::bad(what, "they are left out unless reading is strict"));
+        return Err(Fault::bad(
+            what,
+            "they are left out unless reading is strict",
+        ));
     }
-    Ok(format!("{n} of {of} frames are damaged or missing and were left out, the first {first}"))
+    Ok(format!(
+        "{n} of {of} frames are damaged or missing and were left out, the first {first}"
+    ))
 }
 
 /// Settings of [`super::read()`].
@@ -158,8 +211,9 @@ pub fn damaged(n: usize, of: usize, first: &str, options: &VideoOptions) -> Resu
 pub struct VideoOptions {
     /// Keep at most this many frames, evenly spaced from the first to the last. Default: all.
     pub max_frames: Option<usize>,
-    /// Shrink frames so that their longest side has this many pixels; smaller frames stay as they are. Default 640, between
-    /// the 480 of the paper's DyCheck runs and the width of 360p video. `None` keeps the size of the file.
+    /// Shrink frames so that their longest side has this many pixels; smaller frames stay as they
+    /// are. Default 640, between the 480 of the paper's DyCheck runs and the width of 360p video.
+    /// `None` keeps the size of the file.
     pub size: Option<usize>,
     /// Leave out what is shown before, seconds from the first frame. Default: nothing.
     pub start_s: Option<f64>,
@@ -209,7 +263,10 @@ mod tests {
             let picked = evenly(50, Some(k));
             assert_eq!((picked.len(), picked[0], picked[k - 1]), (k, 0, 49));
             let steps: Vec<usize> = picked.windows(2).map(|w| w[1] - w[0]).collect();
-            assert!(steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1, "{k}: {steps:?}");
+            assert!(
+                steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1,
+                "{k}: {steps:?}"
+            );
         }
     }
 }

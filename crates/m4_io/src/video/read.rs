@@ -20,19 +20,31 @@ const NOT_VIDEO: &str = "it is not a video";
 
 /// Reads a clip: a video file or a folder of images. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
-/// H.264 is decoded by the program of [`super::set_decoder_program`], and in this process where there is none.
-pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadError> {
+/// H.264 is decoded by the program of [`super::set_decoder_program`], and in this process where
+/// there is none.
+pub fn read(
+    path: &Path,
+    options: &VideoOptions,
+    progress: &dyn Progress,
+) -> Result<Video, ReadError> {
     read_with(decoder_program(), path, options, progress)
 }
 
-/// As [`read()`], with H.264 decoded, and on Linux ffmpeg started, by the given program, or by this process.
+/// As [`read()`], with H.264 decoded, and on Linux ffmpeg started, by the given program, or by this
+/// process.
 pub fn read_with(
     decoder: Option<&DecoderProgram>,
     path: &Path,
     options: &VideoOptions,
     progress: &dyn Progress,
 ) -> Result<Video, ReadError> {
-    clip(Request { path, options, decoder, progress }).at(path)
+    clip(Request {
+        path,
+        options,
+        decoder,
+        progress,
+    })
+    .at(path)
 }
 
 /// What is read, and how.
@@ -53,16 +65,28 @@ fn clip(request: Request<'_>) -> Result<Video, Fault> {
     let mut file = files::open(request.path)?;
     let size_bytes = file.metadata()?.len();
     if size_bytes == 0 {
-        return Err(Fault::bad("it is empty (0 bytes)", "copy it again from the camera"));
+        return Err(Fault::bad(
+            "it is empty (0 bytes)",
+            "copy it again from the camera",
+        ));
     }
     let mut start = Vec::new();
     (&mut file).take(START_BYTES).read_to_end(&mut start)?;
     if mp4::looks_like_mp4(&start) {
         return mp4(request, &mut file, size_bytes);
     }
-    match (ffmpeg::read(request, "a file of another kind than MP4 and MOV"), no_clip(&start)) {
+    match (
+        ffmpeg::read(request, "a file of another kind than MP4 and MOV"),
+        no_clip(&start),
+    ) {
         // Without ffmpeg what is known of its first bytes must do.
-        (Err(Fault::Content { kind: ErrorKind::Unavailable, .. }), Some(reason)) => Err(not_video(reason)),
+        (
+            Err(Fault::Content {
+                kind: ErrorKind::Unavailable,
+                ..
+            }),
+            Some(reason),
+        ) => Err(not_video(reason)),
         (Err(Fault::Content { what, hint, .. }), Some(reason)) if what == NOT_VIDEO => {
             Err(not_video(&format!("{reason} ({hint})")))
         }
@@ -77,12 +101,18 @@ pub(super) fn not_video(reason: &str) -> Fault {
 
 /// There is sound but no image.
 pub(super) fn no_video_track(found: &str) -> Fault {
-    Fault::bad(format!("it has no video track ({found})"), "a clip filmed with a moving camera is needed")
+    Fault::bad(
+        format!("it has no video track ({found})"),
+        "a clip filmed with a moving camera is needed",
+    )
 }
 
 /// Not one frame came out.
 pub(super) fn no_frames(reason: &str) -> Fault {
-    Fault::bad(format!("it has no frame that can be decoded: {reason}"), "record or export it again")
+    Fault::bad(
+        format!("it has no frame that can be decoded: {reason}"),
+        "record or export it again",
+    )
 }
 
 /// Why a file with this start is hardly a clip.
@@ -98,7 +128,9 @@ fn no_clip(start: &[u8]) -> Option<&'static str> {
 fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> {
     // A panic of its parser, which is not ours, is a fault of the file.
     let index = catch_unwind(AssertUnwindSafe(|| Movie::read(file, len)));
-    let movie = match index.unwrap_or_else(|_| Err(Mp4Error::Bad("its index breaks the parser".into()))) {
+    let movie = match index
+        .unwrap_or_else(|_| Err(Mp4Error::Bad("its index breaks the parser".into())))
+    {
         Ok(movie) => movie,
         Err(Mp4Error::Fragmented) => return ffmpeg::read(request, "a fragmented MP4 file"),
         Err(Mp4Error::Io(e)) if e.kind() != io::ErrorKind::UnexpectedEof => return Err(e.into()),
@@ -112,7 +144,11 @@ fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> 
         }
     };
     let Some(track) = movie.video() else {
-        let kinds: Vec<String> = movie.tracks.iter().map(|t| mp4::kind_name(t.handler)).collect();
+        let kinds: Vec<String> = movie
+            .tracks
+            .iter()
+            .map(|t| mp4::kind_name(t.handler))
+            .collect();
         let found = if kinds.is_empty() {
             "it has no tracks at all".to_owned()
         } else {
@@ -136,11 +172,20 @@ fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> 
     ffmpeg::read(request, &what)
 }
 
-/// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time. Damaged ones are left out as the damaged
-/// frames of a video are.
-fn folder(Request { path, options, progress, .. }: Request<'_>) -> Result<Video, Fault> {
+/// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
+/// Damaged ones are left out as the damaged frames of a video are.
+fn folder(
+    Request {
+        path,
+        options,
+        progress,
+        ..
+    }: Request<'_>,
+) -> Result<Video, Fault> {
     let files = image_files(path)?;
-    let times: Vec<f64> = (0..files.len()).map(|i| i as f64 / options.folder_fps).collect();
+    let times: Vec<f64> = (0..files.len())
+        .map(|i| i as f64 / options.folder_fps)
+        .collect();
     let kept = plan::select(&times, options)?;
     let expected = one_size(&files)?;
     let longest = expected.0.max(expected.1) as f64;
@@ -179,7 +224,10 @@ fn folder(Request { path, options, progress, .. }: Request<'_>) -> Result<Video,
         return Err(other_size(&files[*i], photo.rgb.size(), upright));
     }
     let scale = upright.0.max(upright.1) as f64 / longest;
-    let focal_px = frames.first().and_then(|(_, f)| f.focal_px).map(|f| f * scale);
+    let focal_px = frames
+        .first()
+        .and_then(|(_, f)| f.focal_px)
+        .map(|f| f * scale);
     let mut collector = Collector::new(upright);
     for (i, photo) in frames {
         collector.push(photo.rgb, times[i]);
@@ -188,9 +236,17 @@ fn folder(Request { path, options, progress, .. }: Request<'_>) -> Result<Video,
         if collector.len() == 0 {
             return Err(no_frames(&first.to_string()));
         }
-        collector.warnings.push(plan::damaged(damaged.len(), kept.len(), &format!("of them: {first}"), options)?);
+        collector.warnings.push(plan::damaged(
+            damaged.len(),
+            kept.len(),
+            &format!("of them: {first}"),
+            options,
+        )?);
     }
-    let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
+    let inside = times
+        .iter()
+        .filter(|&&t| plan::in_range(t, options))
+        .count();
     collector.warnings.extend(plan::thinned(kept.len(), inside));
     collector.finish(focal_px).ok_or_else(no_images)
 }

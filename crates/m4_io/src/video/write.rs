@@ -14,11 +14,12 @@ use std::path::{Path, PathBuf};
 const SIDES_PX: (usize, usize) = (16, 3840);
 /// Shorter side of the largest image, pixels.
 const SHORT_SIDE_PX: usize = 2160;
-/// Longest side of the frames that a written file is read back in, pixels: they take little memory, however many they are.
+/// Longest side of the frames that a written file is read back in, pixels: they take little memory,
+/// however many they are.
 const VERIFIED_PX: usize = 64;
 
-/// Writes frames of one size to an MP4 file: H.264 High profile, BT.709, index at the front. The file
-/// appears under its name only when [`Mp4Writer::finish`] has read it back.
+/// Writes frames of one size to an MP4 file: H.264 High profile, BT.709, index at the front. The
+/// file appears under its name only when [`Mp4Writer::finish`] has read it back.
 pub struct Mp4Writer {
     path: PathBuf,
     size: (usize, usize),
@@ -32,14 +33,24 @@ pub struct Mp4Writer {
 
 impl std::fmt::Debug for Mp4Writer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { path, size, fps, frames, .. } = self;
-        write!(f, "Mp4Writer({path:?}, {size:?}, {fps} fps, {frames} frames)")
+        let Self {
+            path,
+            size,
+            fps,
+            frames,
+            ..
+        } = self;
+        write!(
+            f,
+            "Mp4Writer({path:?}, {size:?}, {fps} fps, {frames} frames)"
+        )
     }
 }
 
 impl Mp4Writer {
-    /// Starts a clip of `width` x `height` pixels (odd sides grow by one column or row) at `fps` frames a second. Fails for
-    /// sizes or rates that H.264 does not have, and when the file system refuses.
+    /// Starts a clip of `width` x `height` pixels (odd sides grow by one column or row) at `fps`
+    /// frames a second. Fails for sizes or rates that H.264 does not have, and when the file system
+    /// refuses.
     pub fn create(path: &Path, width: usize, height: usize, fps: f64) -> Result<Self, WriteError> {
         let unsupported = |what: String| WriteError::unsupported(path, what);
         let (even_width, even_height) = (width.next_multiple_of(2), height.next_multiple_of(2));
@@ -51,7 +62,9 @@ impl Mp4Writer {
             )));
         }
         if !(fps.is_finite() && (0.1..=1000.0).contains(&fps)) {
-            return Err(unsupported(format!("{fps} frames per second; 0.1 to 1000 were expected")));
+            return Err(unsupported(format!(
+                "{fps} frames per second; 0.1 to 1000 were expected"
+            )));
         }
         let encode = |reason: String| WriteError::encode(path, reason);
         let matrix = YuvMatrix::from_code(1, height, Range::Limited);
@@ -63,31 +76,57 @@ impl Mp4Writer {
             .build()
             .map_err(|e| encode(e.to_string()))?;
         let pieces = Pieces::new((width, height), fps, matrix);
-        Ok(Self { path: path.to_path_buf(), size: (width, height), fps, frames: 0, coded: 0, pieces, muxer })
+        Ok(Self {
+            path: path.to_path_buf(),
+            size: (width, height),
+            fps,
+            frames: 0,
+            coded: 0,
+            pieces,
+            muxer,
+        })
     }
 
-    /// Adds a frame, which is encoded while others are made. Fails if its size is not that of the clip or the encoder fails, which may be
-    /// told with a later frame.
+    /// Adds a frame, which is encoded while others are made. Fails if its size is not that of the
+    /// clip or the encoder fails, which may be told with a later frame.
     pub fn push(&mut self, image: RgbImage) -> Result<(), WriteError> {
         if image.size() != self.size {
             let ((w, h), (width, height)) = (image.size(), self.size);
-            let what = format!("frame {} is {w} x {h} pixels where {width} x {height} were expected", self.frames);
+            let what = format!(
+                "frame {} is {w} x {h} pixels where {width} x {height} were expected",
+                self.frames
+            );
             return Err(WriteError::bad(&self.path, what));
         }
         self.frames += 1;
-        let coded = self.pieces.push(image).map_err(|refused| failed(&self.path, self.size, refused))?;
-        write_frames(&mut self.muxer, &mut self.coded, self.fps, coded).map_err(|e| WriteError::encode(&self.path, e))
+        let coded = self
+            .pieces
+            .push(image)
+            .map_err(|refused| failed(&self.path, self.size, refused))?;
+        write_frames(&mut self.muxer, &mut self.coded, self.fps, coded)
+            .map_err(|e| WriteError::encode(&self.path, e))
     }
 
-    /// Completes the file, decodes it again, and gives it its name. Fails if there were no frames, the file system refuses,
-    /// or the file does not hold as many decodable frames as were pushed.
+    /// Completes the file, decodes it again, and gives it its name. Fails if there were no frames,
+    /// the file system refuses, or the file does not hold as many decodable frames as were pushed.
     pub fn finish(self) -> Result<(), WriteError> {
-        let Self { path, size, fps, frames, mut coded, pieces, mut muxer } = self;
+        let Self {
+            path,
+            size,
+            fps,
+            frames,
+            mut coded,
+            pieces,
+            mut muxer,
+        } = self;
         if frames == 0 {
             return Err(WriteError::bad(&path, "there are no frames"));
         }
-        let rest = pieces.finish().map_err(|refused| failed(&path, size, refused))?;
-        write_frames(&mut muxer, &mut coded, fps, rest).map_err(|e| WriteError::encode(&path, e))?;
+        let rest = pieces
+            .finish()
+            .map_err(|refused| failed(&path, size, refused))?;
+        write_frames(&mut muxer, &mut coded, fps, rest)
+            .map_err(|e| WriteError::encode(&path, e))?;
         let io = |e| WriteError::io(&path, e);
         muxer.finish_in_place().map_err(|e| match e {
             MuxerError::Io(source) => io(source),
@@ -95,7 +134,8 @@ impl Mp4Writer {
         })?;
         let mut file = muxer.into_writer();
         file.sync().map_err(io)?;
-        verify(file.temporary_path(), size, frames).map_err(|reason| WriteError::verify(&path, reason))?;
+        verify(file.temporary_path(), size, frames)
+            .map_err(|reason| WriteError::verify(&path, reason))?;
         file.commit().map_err(io)
     }
 }
@@ -114,8 +154,8 @@ fn write_frames(
     Ok(())
 }
 
-/// The error of an encoder that failed. It says that it could not be set up (1), or got no memory (3), where memory ran out: sizes and
-/// rates were checked before.
+/// The error of an encoder that failed. It says that it could not be set up (1), or got no memory
+/// (3), where memory ran out: sizes and rates were checked before.
 fn failed(path: &Path, (width, height): (usize, usize), refused: Refused) -> WriteError {
     match refused {
         Refused::Encoder(error) if matches!(error.native_code(), 1 | 3) => {
@@ -128,13 +168,20 @@ fn failed(path: &Path, (width, height): (usize, usize), refused: Refused) -> Wri
 
 /// Reads the file back; what differs, if something does.
 fn verify(path: &Path, (width, height): (usize, usize), frames: usize) -> Result<(), String> {
-    let options = VideoOptions { size: Some(VERIFIED_PX), strict: true, ..VideoOptions::default() };
+    let options = VideoOptions {
+        size: Some(VERIFIED_PX),
+        strict: true,
+        ..VideoOptions::default()
+    };
     let back = read_with(None, path, &options, &Silent).map_err(|e| e.to_string())?;
     let even = |side: usize| side.next_multiple_of(2) as f64;
     let expected = plan::target_size(even(width), even(height), &options);
     let found = (back.frames.len(), back.frames[0].rgb.size());
     if found != (frames, expected) {
-        return Err(format!("{} frames of {:?} where {frames} of {expected:?} were expected", found.0, found.1));
+        return Err(format!(
+            "{} frames of {:?} where {frames} of {expected:?} were expected",
+            found.0, found.1
+        ));
     }
     Ok(())
 }

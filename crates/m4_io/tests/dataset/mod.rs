@@ -62,7 +62,11 @@ fn source_formats_are_detected_by_their_files() {
         ("megasam/outputs_cvd/dog_sgd_cvd_hr.npz", Megasam),
         ("megasam/reconstructions/dog", Megasam),
     ] {
-        assert_eq!(m4_io::dataset::detect(&fixture(path)), Some(format), "{path}");
+        assert_eq!(
+            m4_io::dataset::detect(&fixture(path)),
+            Some(format),
+            "{path}"
+        );
     }
     for path in [
         "import",
@@ -81,7 +85,15 @@ fn source_formats_are_detected_by_their_files() {
 #[test]
 fn names_are_those_of_the_command_line() {
     let names: Vec<&str> = SourceFormat::all().map(SourceFormat::name).collect();
-    let want = ["dycheck", "nvidia", "record3d", "colmap", "nerfstudio", "vipe", "megasam"];
+    let want = [
+        "dycheck",
+        "nvidia",
+        "record3d",
+        "colmap",
+        "nerfstudio",
+        "vipe",
+        "megasam",
+    ];
     assert_eq!(names, want);
     for format in SourceFormat::all() {
         let written = serde_json::to_string(&format).unwrap();

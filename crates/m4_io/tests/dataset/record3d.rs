@@ -1,5 +1,5 @@
-//! `fixtures/import/record3d/clip.r3d` (lenses of 96 x 72 for images of 48 x 36, depth of 24 x 18), and depth and masks of other
-//! tools for it (`fixtures/import/side`).
+//! `fixtures/import/record3d/clip.r3d` (lenses of 96 x 72 for images of 48 x 36, depth of 24 x 18),
+//! and depth and masks of other tools for it (`fixtures/import/side`).
 
 use super::truth::*;
 use crate::dataset::{edit, fixture, refuses, says};
@@ -27,7 +27,10 @@ fn unpacked() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("unpacked");
     let archive = File::open(fixture("import/record3d/clip.r3d")).unwrap();
-    zip::ZipArchive::new(archive).unwrap().extract(&path).unwrap();
+    zip::ZipArchive::new(archive)
+        .unwrap()
+        .extract(&path)
+        .unwrap();
     (dir, path)
 }
 
@@ -39,11 +42,21 @@ fn record3d_matches_the_clip_it_was_written_from() {
 
 #[test]
 fn large_record3d_depth_maps_are_read() {
-    let clip =
-        import(&fixture("import/record3d/large.r3d"), SourceFormat::Record3d, &ImportOptions::default()).unwrap().train;
-    assert_eq!((clip.frames.len(), clip.time_frames, clip.duration_s), (1, 1, Some(0.0)));
+    let clip = import(
+        &fixture("import/record3d/large.r3d"),
+        SourceFormat::Record3d,
+        &ImportOptions::default(),
+    )
+    .unwrap()
+    .train;
+    assert_eq!(
+        (clip.frames.len(), clip.time_frames, clip.duration_s),
+        (1, 1, Some(0.0))
+    );
     let depth = truth("depth");
-    let twice: Vec<f64> = (0..4 * W * H).map(|i| depth[i / (2 * W) / 2 * W + i % (2 * W) / 2]).collect();
+    let twice: Vec<f64> = (0..4 * W * H)
+        .map(|i| depth[i / (2 * W) / 2 * W + i % (2 * W) / 2])
+        .collect();
     assert_depth(&clip, 0, &twice, 1e-6, |_, _| true);
 }
 
@@ -52,14 +65,22 @@ fn record3d_without_timestamps_is_evenly_spaced() {
     let (_dir, path) = unpacked();
     edit(&path.join("metadata"), "frameTimestamps", "other");
     edit(&path.join("metadata"), "perFrameIntrinsicCoeffs", "another");
-    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default()).unwrap().train;
+    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default())
+        .unwrap()
+        .train;
     assert_true_lens(&clip);
     assert_near(&times(&clip), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
     assert!((clip.duration_s.unwrap() - 4.0 / 60.0).abs() < 1e-12);
     // frames that come unevenly
     let (_dir, path) = unpacked();
-    edit(&path.join("metadata"), "[7.0, 7.1, 7.2, 7.3, 7.4]", "[7.0, 7.1, 7.3, 7.7, 7.8]");
-    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default()).unwrap().train;
+    edit(
+        &path.join("metadata"),
+        "[7.0, 7.1, 7.2, 7.3, 7.4]",
+        "[7.0, 7.1, 7.3, 7.7, 7.8]",
+    );
+    let clip = import(&path, SourceFormat::Record3d, &ImportOptions::default())
+        .unwrap()
+        .train;
     assert_near(&times(&clip), &[0.0, 0.5, 1.5, 3.5, 4.0], 1e-9);
 }
 
@@ -70,19 +91,43 @@ fn malformed_record3d_is_rejected_with_file_and_reason() {
         edit(&path.join("metadata"), from, to);
         refuses(&path, SourceFormat::Record3d, says);
     };
-    broken(r#""dw": 24, "dh": 18"#, r#""dw": 18, "dh": 24"#, &["metadata", "rotated"]);
-    broken(r#""dw": 24, "dh": 18"#, r#""dw": 25, "dh": 18"#, &["frame 0", "rgbd/0.depth", "1800 bytes"]);
-    broken(r#""dw": 24, "dh": 18"#, r#""dw": 24000, "dh": 18000"#, &["metadata", "24000 x 18000"]);
-    broken(r#""w": 96, "h": 72"#, r#""w": 96, "h": 54"#, &["48 x 36", "96 x 54"]);
+    broken(
+        r#""dw": 24, "dh": 18"#,
+        r#""dw": 18, "dh": 24"#,
+        &["metadata", "rotated"],
+    );
+    broken(
+        r#""dw": 24, "dh": 18"#,
+        r#""dw": 25, "dh": 18"#,
+        &["frame 0", "rgbd/0.depth", "1800 bytes"],
+    );
+    broken(
+        r#""dw": 24, "dh": 18"#,
+        r#""dw": 24000, "dh": 18000"#,
+        &["metadata", "24000 x 18000"],
+    );
+    broken(
+        r#""w": 96, "h": 72"#,
+        r#""w": 96, "h": 54"#,
+        &["48 x 36", "96 x 54"],
+    );
     broken("7.2, 7.3", "7.3, 7.2", &["frameTimestamps"]);
     broken(r#""fps": 60"#, r#""fps": 0"#, &["fps is 0"]);
-    broken(r#""K": [100.0, 0.0, 0.0"#, r#""K": [100.0, 0.0, 49.0"#, &["K is"]);
+    broken(
+        r#""K": [100.0, 0.0, 0.0"#,
+        r#""K": [100.0, 0.0, 49.0"#,
+        &["K is"],
+    );
     let (_dir, path) = unpacked();
     std::fs::copy(path.join("rgbd/4.jpg"), path.join("rgbd/5.jpg")).unwrap();
     refuses(&path, SourceFormat::Record3d, &["rgbd/5.jpg has no pose"]);
     std::fs::remove_dir_all(path.join("rgbd")).unwrap();
     std::fs::create_dir(path.join("rgbd")).unwrap();
-    refuses(&path, SourceFormat::Record3d, &["every rgbd/N.jpg is missing"]);
+    refuses(
+        &path,
+        SourceFormat::Record3d,
+        &["every rgbd/N.jpg is missing"],
+    );
 }
 
 fn with(change: impl Fn(&mut ImportOptions)) -> Result<Imported, String> {
@@ -123,7 +168,10 @@ fn depth_of_exr_files_with_parts_is_found_and_of_cropped_ones_refused() {
         assert!((f64::from(got) - want).abs() < 1e-6);
     }
     let cropped = read_depth(&fixture("import/side/exr_other/cropped.exr"), 1.0);
-    says(&cropped.unwrap_err(), &["24 x 18 pixels of an image of 34 x 28"]);
+    says(
+        &cropped.unwrap_err(),
+        &["24 x 18 pixels of an image of 34 x 28"],
+    );
 }
 
 #[test]
@@ -152,13 +200,26 @@ fn malformed_side_files_are_rejected_with_file_and_reason() {
         std::fs::write(dir.path().join(format!("{i}.exr")), b"v/1\x01").unwrap();
     }
     let folder = Some(dir.path().to_path_buf());
-    refused(&|o| o.depth = folder.clone(), &["4 depth maps (0.exr to 3.exr) for 5 training frames"]);
-    refused(&|o| o.masks = folder.clone(), &["0 masks", "5 training frames"]);
+    refused(
+        &|o| o.depth = folder.clone(),
+        &["4 depth maps (0.exr to 3.exr) for 5 training frames"],
+    );
+    refused(
+        &|o| o.masks = folder.clone(),
+        &["0 masks", "5 training frames"],
+    );
     std::fs::write(dir.path().join("4.exr"), b"x").unwrap();
     refused(&|o| o.depth = folder.clone(), &["frame 0", "0.exr", "EXR"]);
     for i in 0..4 {
-        std::fs::copy(fixture("import/side/depth_exr/frame8.exr"), dir.path().join(format!("{i}.exr"))).unwrap();
+        std::fs::copy(
+            fixture("import/side/depth_exr/frame8.exr"),
+            dir.path().join(format!("{i}.exr")),
+        )
+        .unwrap();
     }
-    refused(&|o| o.depth = folder.clone(), &["frame 4", "4.exr", "not supported for depth maps"]);
+    refused(
+        &|o| o.depth = folder.clone(),
+        &["frame 4", "4.exr", "not supported for depth maps"],
+    );
     refused(&|o| o.depth = side("nothing"), &["nothing"]);
 }

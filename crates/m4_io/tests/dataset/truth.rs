@@ -1,4 +1,5 @@
-//! What the clips of the fixtures are, by the files of the oracles alone, and how results are compared with them.
+//! What the clips of the fixtures are, by the files of the oracles alone, and how results are
+//! compared with them.
 
 use crate::dataset::fixture;
 use m4_core::nalgebra::Matrix4;
@@ -31,15 +32,25 @@ pub struct Truth {
 
 /// Options with the images of the clip.
 pub fn with_images() -> ImportOptions {
-    ImportOptions { images: Some(fixture("import/clip/images")), ..ImportOptions::default() }
+    ImportOptions {
+        images: Some(fixture("import/clip/images")),
+        ..ImportOptions::default()
+    }
 }
 
 /// Options for lists whose images are those of the clip beside them.
 pub fn beside() -> ImportOptions {
-    ImportOptions { reach: Reach::Anywhere, ..ImportOptions::default() }
+    ImportOptions {
+        reach: Reach::Anywhere,
+        ..ImportOptions::default()
+    }
 }
 
-pub fn read_fixture(name: &str, format: SourceFormat, options: &ImportOptions) -> Result<Imported, ReadError> {
+pub fn read_fixture(
+    name: &str,
+    format: SourceFormat,
+    options: &ImportOptions,
+) -> Result<Imported, ReadError> {
     read(&fixture(name), format, options, &Silent)
 }
 
@@ -54,14 +65,21 @@ fn npy(name: &str) -> Vec<Vec<f64>> {
 
 impl Truth {
     pub fn read() -> Self {
-        let clip: Clip = serde_json::from_slice(&std::fs::read(fixture("import/clip/clip.json")).unwrap()).unwrap();
+        let clip: Clip =
+            serde_json::from_slice(&std::fs::read(fixture("import/clip/clip.json")).unwrap())
+                .unwrap();
         let matrix = |m: &[[f64; 4]; 4]| Se3::from_matrix(&Matrix4::from_fn(|i, j| m[i][j]));
-        let image = |i| m4_io::image::read_rgb(&fixture(&format!("import/clip/images/{i:05}.png"))).unwrap();
+        let image = |i| {
+            m4_io::image::read_rgb(&fixture(&format!("import/clip/images/{i:05}.png"))).unwrap()
+        };
         Self {
             intrinsics: clip.intrinsics,
             c2w: clip.c2w.iter().map(matrix).collect(),
             depth: npy("import/clip/depth.npy"),
-            moving: npy("import/clip/moving.npy").iter().map(|m| m.iter().map(|v| *v != 0.0).collect()).collect(),
+            moving: npy("import/clip/moving.npy")
+                .iter()
+                .map(|m| m.iter().map(|v| *v != 0.0).collect())
+                .collect(),
             images: (0..FRAMES).map(image).collect(),
         }
     }
@@ -78,7 +96,10 @@ impl Truth {
     pub fn same_camera(&self, i: usize, frame: &CaptureFrame) {
         let k = frame.camera.intrinsics;
         assert_eq!((k.width, k.height), SIZE);
-        let off = [k.fx, k.fy, k.cx, k.cy].into_iter().zip(self.intrinsics).map(|(a, b)| (a - b).abs());
+        let off = [k.fx, k.fy, k.cx, k.cy]
+            .into_iter()
+            .zip(self.intrinsics)
+            .map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f64::max) < 1e-6, "frame {i}: {k:?}");
         self.same_pose(i, frame);
     }
@@ -90,11 +111,18 @@ impl Truth {
 
     pub fn same_image(&self, i: usize, image: &RgbImage, (largest, mean): (u8, f64)) {
         assert_eq!(image.size(), SIZE);
-        let pairs = image.data().iter().flatten().zip(self.images[i].data().iter().flatten());
+        let pairs = image
+            .data()
+            .iter()
+            .flatten()
+            .zip(self.images[i].data().iter().flatten());
         let off: Vec<u8> = pairs.map(|(a, b)| a.abs_diff(*b)).collect();
         let worst = off.iter().copied().max().unwrap();
         let average = off.iter().map(|v| f64::from(*v)).sum::<f64>() / off.len() as f64;
-        assert!(worst <= largest && average <= mean, "frame {i}: {worst}, {average}");
+        assert!(
+            worst <= largest && average <= mean,
+            "frame {i}: {worst}, {average}"
+        );
     }
 
     /// Depth within `within` of itself or `least`; unknown where the clip has none.
@@ -105,7 +133,10 @@ impl Truth {
             for (z, want) in depth.every(1).zip(&self.depth[i]) {
                 let z = f64::from(z);
                 assert_eq!(z == 0.0, *want == 0.0);
-                assert!((z - want).abs() <= (within * want).max(least), "frame {i}: {z} and {want}");
+                assert!(
+                    (z - want).abs() <= (within * want).max(least),
+                    "frame {i}: {z} and {want}"
+                );
             }
         }
     }
@@ -146,7 +177,11 @@ pub fn truth(name: &str) -> Vec<f64> {
 }
 
 /// Detects and reads.
-pub fn import(path: &Path, format: SourceFormat, options: &ImportOptions) -> Result<Imported, ReadError> {
+pub fn import(
+    path: &Path,
+    format: SourceFormat,
+    options: &ImportOptions,
+) -> Result<Imported, ReadError> {
     assert_eq!(detect(path), Some(format), "{}", path.display());
     read(path, format, options, &Silent)
 }
@@ -185,16 +220,32 @@ pub fn assert_true_lens(capture: &Capture) {
 pub fn assert_images(capture: &Capture, want: &[f64], most: f64, mean: f64) {
     assert_eq!(capture.frames.len() * W * H * 3, want.len());
     for (frame, want) in capture.frames.iter().zip(want.chunks_exact(W * H * 3)) {
-        let off: Vec<f64> =
-            frame.rgb.data().iter().flatten().zip(want).map(|(&got, want)| (f64::from(got) - want).abs()).collect();
+        let off: Vec<f64> = frame
+            .rgb
+            .data()
+            .iter()
+            .flatten()
+            .zip(want)
+            .map(|(&got, want)| (f64::from(got) - want).abs())
+            .collect();
         let worst = off.iter().copied().fold(0.0, f64::max);
         let average = off.iter().sum::<f64>() / off.len() as f64;
-        assert!(worst <= most && average <= mean, "{}: {worst} {average}", frame.name);
+        assert!(
+            worst <= most && average <= mean,
+            "{}: {worst} {average}",
+            frame.name
+        );
     }
 }
 
 /// Depth of frame `i` is `want`, `[height][width]`, to `within`; 0 where `known` says no.
-pub fn assert_depth(capture: &Capture, i: usize, want: &[f64], within: f64, known: impl Fn(usize, usize) -> bool) {
+pub fn assert_depth(
+    capture: &Capture,
+    i: usize,
+    want: &[f64],
+    within: f64,
+    known: impl Fn(usize, usize) -> bool,
+) {
     let depth = capture.frames[i].depth.as_ref().unwrap();
     let (w, h) = depth.size();
     assert_eq!(w * h, want.len());
@@ -202,7 +253,10 @@ pub fn assert_depth(capture: &Capture, i: usize, want: &[f64], within: f64, know
         for x in 0..w {
             let (got, want) = (f64::from(depth.at(x, y)), want[y * w + x]);
             if known(x, y) {
-                assert!((got - want).abs() <= within && got > 1.0, "{i}: {x} {y}: {got} {want}");
+                assert!(
+                    (got - want).abs() <= within && got > 1.0,
+                    "{i}: {x} {y}: {got} {want}"
+                );
             } else {
                 assert_eq!(got, 0.0, "{i}: {x} {y}");
             }

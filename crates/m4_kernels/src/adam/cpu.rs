@@ -22,15 +22,21 @@ pub struct AdamConfig {
     pub beta2_dynamic: f64,
     /// Added to the root of the second moment. 1e-15 (3DGS).
     pub eps: f64,
-    /// Leave splats alone that the frame did not touch. true (docs/spec/optimiser.md 3); false is the
-    /// dense Adam of 3DGS, for which an untouched splat has gradient 0.
+    /// Leave splats alone that the frame did not touch. true (docs/spec/optimiser.md 3); false is
+    /// the dense Adam of 3DGS, for which an untouched splat has gradient 0.
     pub sparse: bool,
 }
 
 impl Default for AdamConfig {
     fn default() -> Self {
         let params = AdamParams::default();
-        Self { beta1: params.beta1, beta2: params.beta2, beta2_dynamic: 0.99, eps: params.epsilon, sparse: true }
+        Self {
+            beta1: params.beta1,
+            beta2: params.beta2,
+            beta2_dynamic: 0.99,
+            eps: params.epsilon,
+            sparse: true,
+        }
     }
 }
 
@@ -52,7 +58,12 @@ impl AdamState {
     pub fn new(splats: &Splats) -> Self {
         let zero = Splats::zeros(splats.layout(), splats.n_static(), splats.n_dynamic());
         let nodes = splats.windows().iter().map(NodeMoments::new).collect();
-        Self { m: zero.clone(), v: zero, step: vec![0; splats.n()], nodes }
+        Self {
+            m: zero.clone(),
+            v: zero,
+            step: vec![0; splats.n()],
+            nodes,
+        }
     }
 
     /// Sets the moments and the count of one splat back to nothing.
@@ -71,12 +82,13 @@ impl AdamState {
     }
 }
 
-/// Rows a task: every column of them is long enough for the processor to stream, and what the columns
-/// share stays in the first-level cache.
+/// Rows a task: every column of them is long enough for the processor to stream, and what the
+/// columns share stays in the first-level cache.
 const CHUNK_ROWS: usize = 8192;
 
-/// One step of every splat that `gradients` touch (of every splat unless `config.sparse`). `lr` holds one learning rate
-/// per column, in the order of [`Splats::columns`]. Panics if `lr`, `gradients` or `state` do not fit `splats`.
+/// One step of every splat that `gradients` touch (of every splat unless `config.sparse`). `lr`
+/// holds one learning rate per column, in the order of [`Splats::columns`]. Panics if `lr`,
+/// `gradients` or `state` do not fit `splats`.
 pub fn step(
     level: SimdLevel,
     splats: &mut Splats,
@@ -86,9 +98,21 @@ pub fn step(
     lr: &[f32],
 ) {
     let (n, n_static, layout) = (splats.n(), splats.n_static(), splats.layout());
-    assert_eq!(lr.len(), layout.columns(), "adam: one learning rate a column");
-    assert_eq!(gradients.touched.len(), n, "adam: gradients of these splats");
-    assert_eq!(gradients.columns.len(), lr.len(), "adam: gradients of these splats");
+    assert_eq!(
+        lr.len(),
+        layout.columns(),
+        "adam: one learning rate a column"
+    );
+    assert_eq!(
+        gradients.touched.len(),
+        n,
+        "adam: gradients of these splats"
+    );
+    assert_eq!(
+        gradients.columns.len(),
+        lr.len(),
+        "adam: gradients of these splats"
+    );
     assert!(
         state.step.len() == n && state.m.n_static() == n_static && state.m.layout() == layout,
         "adam: the state of these splats"
@@ -102,7 +126,11 @@ pub fn step(
     let (mut touched, mut counts) = (gradients.touched.as_slice(), state.step.as_mut_slice());
     let mut chunks = Vec::new();
     for (rows, dynamic) in [(n_static, false), (n - n_static, true)] {
-        let present = if dynamic { columns.len() } else { layout.shared_columns() };
+        let present = if dynamic {
+            columns.len()
+        } else {
+            layout.shared_columns()
+        };
         for start in (0..rows).step_by(CHUNK_ROWS) {
             let len = CHUNK_ROWS.min(rows - start);
             let here = touched.split_off(..len).unwrap_or_default();
@@ -112,13 +140,20 @@ pub fn step(
             if config.sparse && here.iter().all(|&t| t == 0) {
                 parts.for_each(drop);
             } else {
-                chunks.push(Chunk { dynamic, touched: here, counts: count, columns: parts.collect() });
+                chunks.push(Chunk {
+                    dynamic,
+                    touched: here,
+                    counts: count,
+                    columns: parts.collect(),
+                });
             }
         }
     }
-    chunks.into_par_iter().for_each_init(Bias::default, |bias, chunk| {
-        dispatch!(level.level(), s => update(s, chunk, config, bias));
-    });
+    chunks
+        .into_par_iter()
+        .for_each_init(Bias::default, |bias, chunk| {
+            dispatch!(level.level(), s => update(s, chunk, config, bias));
+        });
 }
 
 /// A parameter with its moments, gradient and learning rate.
@@ -176,7 +211,10 @@ impl Bias {
         let (one, none) = (u32x16::splat(s, 1), u32x16::splat(s, 0));
         for at in (0..rows).step_by(LANES) {
             let (mut counts, mut marks) = ([0u32; LANES], [0u32; LANES]);
-            match (chunk.counts.get(at..at + LANES), chunk.touched.get(at..at + LANES)) {
+            match (
+                chunk.counts.get(at..at + LANES),
+                chunk.touched.get(at..at + LANES),
+            ) {
                 (Some(here), Some(touched)) => {
                     counts.copy_from_slice(here);
                     for k in 0..LANES {
@@ -185,14 +223,19 @@ impl Bias {
                 }
                 _ => {
                     for k in 0..rows - at {
-                        (counts[k], marks[k]) = (chunk.counts[at + k], u32::from(chunk.touched[at + k]));
+                        (counts[k], marks[k]) =
+                            (chunk.counts[at + k], u32::from(chunk.touched[at + k]));
                     }
                 }
             }
             let counts = u32x16::from_slice(s, &counts);
             let free = counts.simd_lt(u32x16::splat(s, FIXED));
             let live = u32x16::from_slice(s, &marks).simd_gt(none) & free;
-            let step = if config.sparse { live.select(one, none) } else { free.select(one, none) };
+            let step = if config.sparse {
+                live.select(one, none)
+            } else {
+                free.select(one, none)
+            };
             let counts = counts + step;
             match chunk.counts.get_mut(at..at + LANES) {
                 Some(here) => counts.store_slice(here),
@@ -202,16 +245,23 @@ impl Bias {
             let counts = counts.to_float::<f32x16<S>>();
             let first = real / (zero - exp_m1(s, counts * log1));
             let second = real / (zero - exp_m1(s, counts * log2));
-            live.select(real, zero).store_slice(&mut self.live[at..at + LANES]);
-            on.select(first, zero).store_slice(&mut self.first[at..at + LANES]);
-            on.select(second, real).store_slice(&mut self.second[at..at + LANES]);
+            live.select(real, zero)
+                .store_slice(&mut self.live[at..at + LANES]);
+            on.select(first, zero)
+                .store_slice(&mut self.first[at..at + LANES]);
+            on.select(second, real)
+                .store_slice(&mut self.second[at..at + LANES]);
         }
     }
 }
 
 #[simd]
 fn update<S: Simd>(s: S, mut chunk: Chunk<'_>, config: &AdamConfig, bias: &mut Bias) {
-    let beta2 = if chunk.dynamic { config.beta2_dynamic } else { config.beta2 };
+    let beta2 = if chunk.dynamic {
+        config.beta2_dynamic
+    } else {
+        config.beta2
+    };
     bias.fill(s, &mut chunk, config, beta2);
     for column in chunk.columns {
         let rule = Rule::new(s, config, beta2, column.lr);
@@ -221,8 +271,13 @@ fn update<S: Simd>(s: S, mut chunk: Chunk<'_>, config: &AdamConfig, bias: &mut B
         let (v, v_end) = column.v.split_at_mut(whole);
         let (g, g_end) = column.g.split_at(whole);
         let rows = x.chunks_exact_mut(LANES).zip(m.chunks_exact_mut(LANES));
-        let rows = rows.zip(v.chunks_exact_mut(LANES)).zip(g.chunks_exact(LANES));
-        let shared = bias.first.chunks_exact(LANES).zip(bias.second.chunks_exact(LANES));
+        let rows = rows
+            .zip(v.chunks_exact_mut(LANES))
+            .zip(g.chunks_exact(LANES));
+        let shared = bias
+            .first
+            .chunks_exact(LANES)
+            .zip(bias.second.chunks_exact(LANES));
         let shared = shared.zip(bias.live.chunks_exact(LANES));
         for ((((x, m), v), g), ((first, second), live)) in rows.zip(shared) {
             rule.apply(s, x, m, v, g, [first, second, live]);
@@ -234,7 +289,11 @@ fn update<S: Simd>(s: S, mut chunk: Chunk<'_>, config: &AdamConfig, bias: &mut B
                 padded[..part.len()].copy_from_slice(part);
             }
             let [x, m, v, g] = &mut padded;
-            let shared = [&bias.first[whole..], &bias.second[whole..], &bias.live[whole..]];
+            let shared = [
+                &bias.first[whole..],
+                &bias.second[whole..],
+                &bias.live[whole..],
+            ];
             rule.apply(s, x, m, v, g, shared);
             for (padded, part) in padded.iter().zip([x_end, m_end, v_end]) {
                 part.copy_from_slice(&padded[..part.len()]);
@@ -267,7 +326,15 @@ impl<S: Simd> Rule<S> {
 
     /// Sixteen rows; `shared` holds those of [`Bias`].
     #[inline(always)]
-    fn apply(&self, s: S, x: &mut [f32], m: &mut [f32], v: &mut [f32], g: &[f32], shared: [&[f32]; 3]) {
+    fn apply(
+        &self,
+        s: S,
+        x: &mut [f32],
+        m: &mut [f32],
+        v: &mut [f32],
+        g: &[f32],
+        shared: [&[f32]; 3],
+    ) {
         let zero = all(s, 0.0);
         let [first, second, live] = shared;
         let first = f32x16::from_slice(s, first);
@@ -279,7 +346,11 @@ impl<S: Simd> Rule<S> {
         let live = f32x16::from_slice(s, live).simd_gt(zero);
         let second = f32x16::from_slice(s, second);
         let gradient = f32x16::from_slice(s, g);
-        let old = [f32x16::from_slice(s, x), f32x16::from_slice(s, m), f32x16::from_slice(s, v)];
+        let old = [
+            f32x16::from_slice(s, x),
+            f32x16::from_slice(s, m),
+            f32x16::from_slice(s, v),
+        ];
         // neighbours are mostly seen together; loads and stores under a mask cost
         let new = if live.all_true() {
             self.next(&old, gradient, first, second)
@@ -294,7 +365,13 @@ impl<S: Simd> Rule<S> {
 
     /// Parameter and moments after the step.
     #[inline(always)]
-    fn next(&self, [x, m, v]: &[f32x16<S>; 3], g: f32x16<S>, first: f32x16<S>, second: f32x16<S>) -> [f32x16<S>; 3] {
+    fn next(
+        &self,
+        [x, m, v]: &[f32x16<S>; 3],
+        g: f32x16<S>,
+        first: f32x16<S>,
+        second: f32x16<S>,
+    ) -> [f32x16<S>; 3] {
         let m = self.beta[0].mul_add(*m, self.rest[0] * g);
         let v = self.beta[1].mul_add(*v, self.rest[1] * g * g);
         let root = (v * second).sqrt() + self.eps;

@@ -24,7 +24,8 @@ pub struct DeviceAdam {
     pub nodes: DeviceNodes,
 }
 
-/// One step of the splats that `touched` names along `gradients`, one rate per column; `tally` counts it.
+/// One step of the splats that `touched` names along `gradients`, one rate per column; `tally`
+/// counts it.
 pub fn step(
     gpu: &Gpu,
     splats: &DeviceSplats,
@@ -91,8 +92,8 @@ struct Step {
     epsilon: f32,
 }
 
-/// One step of each splat that is not [`FIXED`], and of its count of steps. `tally` counts the step and the splats touched, and
-/// notes parameters that are not finite.
+/// One step of each splat that is not [`FIXED`], and of its count of steps. `tally` counts the step
+/// and the splats touched, and notes parameters that are not finite.
 #[cube(launch)]
 fn adam(
     geometry: &mut [f32],
@@ -154,9 +155,33 @@ fn adam(
             epsilon,
         };
         let mut first = 0u32;
-        move_columns(geometry, d_geometry, m_geometry, v_geometry, rates, tally, first, geometry_columns, i, n, &step);
+        move_columns(
+            geometry,
+            d_geometry,
+            m_geometry,
+            v_geometry,
+            rates,
+            tally,
+            first,
+            geometry_columns,
+            i,
+            n,
+            &step,
+        );
         first += geometry_columns;
-        move_columns(colour, d_colour, m_colour, v_colour, rates, tally, first, colour_columns, i, n, &step);
+        move_columns(
+            colour,
+            d_colour,
+            m_colour,
+            v_colour,
+            rates,
+            tally,
+            first,
+            colour_columns,
+            i,
+            n,
+            &step,
+        );
         first += colour_columns;
         if i >= n_static {
             let (row, rows) = (i - n_static, n - n_static);
@@ -165,7 +190,9 @@ fn adam(
             if i < n_still {
                 columns += trend_columns;
             }
-            move_columns(time, d_time, m_time, v_time, rates, tally, first, columns, row, rows, &step);
+            move_columns(
+                time, d_time, m_time, v_time, rates, tally, first, columns, row, rows, &step,
+            );
         }
     }
 }
@@ -196,7 +223,8 @@ fn move_columns(
         m[at] = mean;
         v[at] = square;
         let rate = rates[(first + c) as usize];
-        let moved = x[at] - rate * mean * step.bias1 / ((square * step.bias2).sqrt() + step.epsilon);
+        let moved =
+            x[at] - rate * mean * step.bias1 / ((square * step.bias2).sqrt() + step.epsilon);
         x[at] = moved;
         check_parameter(moved, tally);
     }

@@ -6,9 +6,9 @@
 //! x -= rate (m / (1 - beta1^count)) / (sqrt(v / (1 - beta2^count)) + epsilon)
 //! ```
 //!
-//! Rows that are not touched keep parameter, moments and count as they are: a splat that is seen in one frame of twenty
-//! is not dragged on by old momentum in the other nineteen. `count` is the value *after* this step's increment. Rows whose count is
-//! [`FIXED`] are never stepped.
+//! Rows that are not touched keep parameter, moments and count as they are: a splat that is seen in
+//! one frame of twenty is not dragged on by old momentum in the other nineteen. `count` is the
+//! value *after* this step's increment. Rows whose count is [`FIXED`] are never stepped.
 
 pub mod cpu;
 #[cfg(feature = "gpu")]
@@ -33,6 +33,10 @@ pub struct AdamParams {
 
 impl Default for AdamParams {
     fn default() -> Self {
-        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-15 }
+        Self {
+            beta1: 0.9,
+            beta2: 0.999,
+            epsilon: 1e-15,
+        }
     }
 }

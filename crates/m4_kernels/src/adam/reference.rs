@@ -4,7 +4,15 @@ use super::{AdamParams, FIXED};
 use m4_core::Real;
 
 /// One parameter: its new value, first and second moment.
-pub fn update<T: Real>(x: T, g: T, m: T, v: T, count: u32, rate: T, params: &AdamParams) -> (T, T, T) {
+pub fn update<T: Real>(
+    x: T,
+    g: T,
+    m: T,
+    v: T,
+    count: u32,
+    rate: T,
+    params: &AdamParams,
+) -> (T, T, T) {
     let (beta1, beta2) = (T::of(params.beta1), T::of(params.beta2));
     let m = beta1 * m + (T::one() - beta1) * g;
     let v = beta2 * v + (T::one() - beta2) * g * g;
@@ -14,8 +22,8 @@ pub fn update<T: Real>(x: T, g: T, m: T, v: T, count: u32, rate: T, params: &Ada
     (x - rate * mean / (root + T::of(params.epsilon)), m, v)
 }
 
-/// One column: rows with `touched` 0, or `count` [`FIXED`], keep everything. `count` is after this step's increment; all
-/// slices have the same length.
+/// One column: rows with `touched` 0, or `count` [`FIXED`], keep everything. `count` is after this
+/// step's increment; all slices have the same length.
 pub fn step<T: Real>(
     x: &mut [T],
     g: &[T],

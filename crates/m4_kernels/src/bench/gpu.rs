@@ -52,8 +52,8 @@ fn multiply(out: &mut [f32], factor: f32) {
 }
 
 impl Probe {
-    /// Rates of the device over arrays that its caches do not hold, measured now, on 256 MB. Fails with [`GpuError`] if the device
-    /// fails.
+    /// Rates of the device over arrays that its caches do not hold, measured now, on 256 MB. Fails
+    /// with [`GpuError`] if the device fails.
     pub fn of_device(gpu: &Gpu) -> Result<Self, GpuError> {
         let client = &gpu.client;
         let len = STREAM_BYTES.min(gpu.adapter().max_buffer_bytes as usize) / 4;
@@ -64,9 +64,18 @@ impl Probe {
         let out = Buffer::empty(client, 256 * CUBES);
         let operations = (256 * CUBES * CHAINS) as f64 * f64::from(ROUNDS);
         let operations_per_s = rate(gpu, operations, || {
-            launch!(client, multiply::launch, (cubes(256 * CUBES, 256), units()), [out], [0.5]);
+            launch!(
+                client,
+                multiply::launch,
+                (cubes(256 * CUBES, 256), units()),
+                [out],
+                [0.5]
+            );
         })?;
-        Ok(Self { bytes_per_s, operations_per_s })
+        Ok(Self {
+            bytes_per_s,
+            operations_per_s,
+        })
     }
 }
 

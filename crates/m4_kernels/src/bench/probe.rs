@@ -20,14 +20,27 @@ pub struct PeakEvaluations {
     pub backward: f64,
 }
 
-/// The best loops that we know, on one 8x8 tile in the first-level cache with every lane alive: measured
-/// on one core of an AMD EPYC at 4.4 GHz, 2026-11-20. AVX-512: no branch on data, prefetch; AVX2:
-/// hand-written intrinsics forward; SSE2: portable vectors. They are constants, not scaled to the
-/// machine: on another one they are a yardstick, not a bound. Other instruction sets have none yet.
+/// The best loops that we know, on one 8x8 tile in the first-level cache with every lane alive:
+/// measured on one core of an AMD EPYC at 4.4 GHz, 2026-11-20. AVX-512: no branch on data,
+/// prefetch; AVX2: hand-written intrinsics forward; SSE2: portable vectors. They are constants, not
+/// scaled to the machine: on another one they are a yardstick, not a bound. Other instruction sets
+/// have none yet.
 pub const PEAK_EVALUATIONS: [PeakEvaluations; 3] = [
-    PeakEvaluations { level: "sse2", forward: 0.96e9, backward: 0.61e9 },
-    PeakEvaluations { level: "avx2", forward: 2.5e9, backward: 1.13e9 },
-    PeakEvaluations { level: "avx512", forward: 6.7e9, backward: 2.55e9 },
+    PeakEvaluations {
+        level: "sse2",
+        forward: 0.96e9,
+        backward: 0.61e9,
+    },
+    PeakEvaluations {
+        level: "avx2",
+        forward: 2.5e9,
+        backward: 1.13e9,
+    },
+    PeakEvaluations {
+        level: "avx512",
+        forward: 6.7e9,
+        backward: 2.55e9,
+    },
 ];
 
 /// How long a probe runs on each thread.
@@ -43,13 +56,16 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// Measures for about a tenth of a second; `bytes` is the size of both arrays, all threads together.
-    /// Give it what a step moves: what fits a cache moves at the speed of that cache.
+    /// Measures for about a tenth of a second; `bytes` is the size of both arrays, all threads
+    /// together. Give it what a step moves: what fits a cache moves at the speed of that cache.
     pub fn run(level: SimdLevel, bytes: usize) -> Self {
         let threads = rayon::current_num_threads();
         let len = (bytes / (2 * size_of::<f32>() * threads)).max(1024);
         let rates = rayon::broadcast(|_| (stream(level, len), multiply(level)));
-        Self { bytes_per_s: rates.iter().map(|r| r.0).sum(), operations_per_s: rates.iter().map(|r| r.1).sum() }
+        Self {
+            bytes_per_s: rates.iter().map(|r| r.0).sum(),
+            operations_per_s: rates.iter().map(|r| r.1).sum(),
+        }
     }
 }
 
@@ -88,8 +104,8 @@ fn add_scaled<S: Simd>(s: S, a: &mut [f32], b: &[f32]) {
 /// Multiply-adds in a pass, a lane and accumulator.
 const ROUNDS: usize = 20_000;
 
-/// Multiply-adds a second of one thread. As many accumulators as registers allow: enough to hide the
-/// latency, few enough that none goes to memory.
+/// Multiply-adds a second of one thread. As many accumulators as registers allow: enough to hide
+/// the latency, few enough that none goes to memory.
 fn multiply(level: SimdLevel) -> f64 {
     match level.name() {
         "avx512" => multiply_with::<10>(level),
@@ -128,8 +144,14 @@ mod tests {
     fn probed_rates_are_plausible() {
         for level in SimdLevel::available() {
             let probe = Probe::run(level, 1 << 20);
-            assert!((1e8..1e14).contains(&probe.bytes_per_s), "{level}: {probe:?}");
-            assert!((1e8..1e14).contains(&probe.operations_per_s), "{level}: {probe:?}");
+            assert!(
+                (1e8..1e14).contains(&probe.bytes_per_s),
+                "{level}: {probe:?}"
+            );
+            assert!(
+                (1e8..1e14).contains(&probe.operations_per_s),
+                "{level}: {probe:?}"
+            );
         }
     }
 }

@@ -1,5 +1,5 @@
-//! The synthetic benchmark scenes: a room with six balls, sampled through three nearby cameras, so that a third of the
-//! splats is partly occluded, as in a video.
+//! The synthetic benchmark scenes: a room with six balls, sampled through three nearby cameras, so
+//! that a third of the splats is partly occluded, as in a video.
 
 use crate::View;
 use m4_core::{
@@ -31,8 +31,8 @@ const CAMERAS: [[f64; 3]; 3] = [[0.0, 0.0, 0.0], [0.35, 0.0, 0.1], [-0.35, 0.1, 
 pub enum SceneKind {
     /// Every splat is there all the time, on walls and balls alike.
     Static,
-    /// As training has them: the walls are a fifth of the splats; the rest lies on the balls, each alive
-    /// for a frame or two out of 64, so that at any instant most of them are missing.
+    /// As training has them: the walls are a fifth of the splats; the rest lies on the balls, each
+    /// alive for a frame or two out of 64, so that at any instant most of them are missing.
     FourD,
 }
 
@@ -119,7 +119,10 @@ fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
 /// The first camera: 60 degrees wide.
 fn camera(width: usize, height: usize) -> Camera {
     let focal_px = 0.5 * width as f64 / 30f64.to_radians().tan();
-    Camera { intrinsics: Intrinsics::centred(width, height, focal_px), c2w: Se3::identity() }
+    Camera {
+        intrinsics: Intrinsics::centred(width, height, focal_px),
+        c2w: Se3::identity(),
+    }
 }
 
 /// What is drawn: one instant of a static scene, several of a clip.
@@ -178,7 +181,11 @@ fn share_of_balls(k: &Intrinsics) -> f64 {
 
 /// `n` flat discs on the surfaces, in no order.
 pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind) -> Splats {
-    let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
     let k = camera(width, height).intrinsics;
     let n_static = match kind {
         SceneKind::Static => n,
@@ -209,10 +216,21 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind)
         }
         let (distance, normal, id) = hit;
         let p = origin + ray * distance;
-        let spacing_px = if dynamic { spacing_dynamic } else { spacing_static };
+        let spacing_px = if dynamic {
+            spacing_dynamic
+        } else {
+            spacing_static
+        };
         let size = spacing_px * p.z.abs() / k.fx;
-        let (a, b) = (size * (0.4 * rng.normal()).exp(), size * (0.4 * rng.normal()).exp());
-        let up = if normal.y.abs() < 0.9 { Vector3::y() } else { Vector3::x() };
+        let (a, b) = (
+            size * (0.4 * rng.normal()).exp(),
+            size * (0.4 * rng.normal()).exp(),
+        );
+        let up = if normal.y.abs() < 0.9 {
+            Vector3::y()
+        } else {
+            Vector3::x()
+        };
         let x = up.cross(&normal).normalize();
         let turn = Rotation3::from_scaled_axis(normal * (std::f64::consts::TAU * rng.uniform()));
         let x = turn * x;
@@ -227,16 +245,28 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind)
             }
         };
         set(Column::Mean, p.as_slice(), row);
-        set(Column::LogScale, &[a.ln(), b.ln(), (0.2 * a.min(b)).ln()], row);
+        set(
+            Column::LogScale,
+            &[a.ln(), b.ln(), (0.2 * a.min(b)).ln()],
+            row,
+        );
         set(Column::Quat, &[q.w, q.i, q.j, q.k], row);
         set(Column::Opacity, &[(opacity / (1.0 - opacity)).ln()], row);
-        set(Column::Colour, &colour(&p, id).map(|c| (c - 0.5) / crate::shade::C0), row);
+        set(
+            Column::Colour,
+            &colour(&p, id).map(|c| (c - 0.5) / crate::shade::C0),
+            row,
+        );
         if dynamic {
             let row = row - n_static;
             let ball = is_ball(id);
             set(Column::TimeMean, &[time + 0.1 * rng.normal()], row);
             set(Column::LogTimeSd, &[TIME_SD.ln() + 0.2 * rng.normal()], row);
-            set(Column::Velocity, ball.map_or(Vector3::zeros(), velocity).as_slice(), row);
+            set(
+                Column::Velocity,
+                ball.map_or(Vector3::zeros(), velocity).as_slice(),
+                row,
+            );
         }
     }
     out

@@ -31,7 +31,12 @@ pub struct SceneConfig {
 impl Default for SceneConfig {
     /// 100,000 static splats of one colour each on 480x360 pixels.
     fn default() -> Self {
-        Self { splats: 100_000, width: 480, height: 360, kind: SceneKind::Static }
+        Self {
+            splats: 100_000,
+            width: 480,
+            height: 360,
+            kind: SceneKind::Static,
+        }
     }
 }
 
@@ -47,9 +52,15 @@ pub struct BenchScene {
 }
 
 impl BenchScene {
-    /// The scene of `config`. Fails with [`ShapeError`] if the kernels contradict one another; not on any `config`.
+    /// The scene of `config`. Fails with [`ShapeError`] if the kernels contradict one another; not
+    /// on any `config`.
     pub fn new(config: &SceneConfig) -> Result<Self, ShapeError> {
-        let SceneConfig { width, height, kind, .. } = *config;
+        let SceneConfig {
+            width,
+            height,
+            kind,
+            ..
+        } = *config;
         let splats = scene::splats(config.splats, (width, height), kind);
         Ok(Self {
             splats: splats.gather(&morton_order(&splats))?,
@@ -110,11 +121,12 @@ impl Bench {
         self.scene.views.len()
     }
 
-    /// Draws view `view` alone: time a kernel, in the order of [`Kernel::ALL`] (0 for those that do not
-    /// draw), and of the whole.
+    /// Draws view `view` alone: time a kernel, in the order of [`Kernel::ALL`] (0 for those that do
+    /// not draw), and of the whole.
     pub fn render(&mut self, view: usize) -> ([Duration; Kernel::ALL.len()], Duration) {
         let start = Instant::now();
-        self.renderer.render(&self.scene.splats, &self.scene.views[view]);
+        self.renderer
+            .render(&self.scene.splats, &self.scene.views[view]);
         let whole = start.elapsed();
         let stats = self.renderer.stats();
         let of = |kernel| match kernel {
@@ -129,12 +141,26 @@ impl Bench {
     /// One training step on view `view`.
     pub fn step(&mut self, view: usize) -> Times {
         let start = Instant::now();
-        let frame = self.renderer.render(&self.scene.splats, &self.scene.views[view]);
+        let frame = self
+            .renderer
+            .render(&self.scene.splats, &self.scene.views[view]);
         let drawn = Instant::now();
         let (target, gradient) = (&self.scene.target, &mut self.gradient);
-        let loss = photometric::loss(self.level, target, &frame.rgb, LAMBDA_SSIM, &mut self.scratch, gradient);
+        let loss = photometric::loss(
+            self.level,
+            target,
+            &frame.rgb,
+            LAMBDA_SSIM,
+            &mut self.scratch,
+            gradient,
+        );
         let photo = drawn.elapsed();
-        self.renderer.backward(&self.scene.splats, &self.gradient, false, &mut self.gradients);
+        self.renderer.backward(
+            &self.scene.splats,
+            &self.gradient,
+            false,
+            &mut self.gradients,
+        );
         let backward = Instant::now();
         adam::step(
             self.level,
@@ -155,7 +181,11 @@ impl Bench {
             Kernel::ProjectBackward => stats.project_backward,
             Kernel::Adam => adam,
         };
-        Times { kernels: Kernel::ALL.map(of), step, loss: loss.total }
+        Times {
+            kernels: Kernel::ALL.map(of),
+            step,
+            loss: loss.total,
+        }
     }
 
     /// What a step on view `view` has to do; draws it, and counts slowly.
@@ -172,7 +202,8 @@ impl Bench {
             &mut self.scratch,
             &mut self.gradient,
         );
-        self.renderer.backward(splats, &self.gradient, false, &mut self.gradients);
+        self.renderer
+            .backward(splats, &self.gradient, false, &mut self.gradients);
         let stats = self.renderer.stats();
         let (first, rest) = self.gradients.touched.split_at(splats.n_static());
         Counts {
@@ -197,17 +228,31 @@ mod tests {
     #[test]
     fn steps_are_timed_and_lower_the_loss() {
         for kind in [SceneKind::Static, SceneKind::FourD] {
-            let config = SceneConfig { splats: 4000, width: 96, height: 72, kind };
+            let config = SceneConfig {
+                splats: 4000,
+                width: 96,
+                height: 72,
+                kind,
+            };
             let mut bench = Bench::new(SimdLevel::best(), &config).unwrap();
             let counts = bench.count(0);
-            assert!(counts.pairs >= counts.used && counts.used > counts.visible / 2, "{counts:?}");
+            assert!(
+                counts.pairs >= counts.used && counts.used > counts.visible / 2,
+                "{counts:?}"
+            );
             assert!(counts.useful as usize > 3 * counts.pixels, "{counts:?}");
             assert!((0.01..1.0).contains(&counts.useful_share()), "{counts:?}");
             let [_, alive] = counts.alive;
-            assert!(alive < 4000 / 20, "most dynamic splats are not there: {alive}");
+            assert!(
+                alive < 4000 / 20,
+                "most dynamic splats are not there: {alive}"
+            );
             let first = bench.step(0);
             let last = (0..10).map(|_| bench.step(0)).last().unwrap();
-            assert!(last.step > last.kernels[0] && last.loss < first.loss, "{first:?} {last:?}");
+            assert!(
+                last.step > last.kernels[0] && last.loss < first.loss,
+                "{first:?} {last:?}"
+            );
             for kernel in Kernel::ALL {
                 let work = kernel.work(&counts);
                 assert!(work.bytes > 0.0, "{}", kernel.name());

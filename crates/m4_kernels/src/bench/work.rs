@@ -1,10 +1,11 @@
 //! The minimum work of a kernel: bytes, operations, evaluations.
 //!
-//! **Bytes** are compulsory traffic: every input of the kernel read once and every output written once,
-//! in the layout that they have (`f32` columns, 40 bytes a projected splat, a line of 64 bytes for its
-//! sums, 4 bytes an entry of a tile list, `f32` planes). Of the columns only the rows count that
-//! the instant shows (forward) or that the frame touched (backward, Adam). What a kernel keeps for
-//! itself between its passes (keys of the sort, maps of SSIM) is not compulsory and does not count.
+//! **Bytes** are compulsory traffic: every input of the kernel read once and every output written
+//! once, in the layout that they have (`f32` columns, 40 bytes a projected splat, a line of 64
+//! bytes for its sums, 4 bytes an entry of a tile list, `f32` planes). Of the columns only the rows
+//! count that the instant shows (forward) or that the frame touched (backward, Adam). What a kernel
+//! keeps for itself between its passes (keys of the sort, maps of SSIM) is not compulsory and does
+//! not count.
 //!
 //! **Operations** are those of the definition on one lane, counted by hand: a multiply-add, root,
 //! division or comparison is 1, an `exp` 11, a `log2` 14. Good to a fifth.
@@ -84,9 +85,13 @@ impl Kernel {
     pub fn work(self, c: &Counts) -> Work {
         let (shared, time) = (c.shared_columns as f64, TIME_COLUMNS as f64);
         // numbers in the columns of this many static and dynamic splats
-        let columns =
-            |[n_static, n_dynamic]: [usize; 2]| (n_static + n_dynamic) as f64 * shared + n_dynamic as f64 * time;
-        let (alive, touched) = ((c.alive[0] + c.alive[1]) as f64, (c.touched[0] + c.touched[1]) as f64);
+        let columns = |[n_static, n_dynamic]: [usize; 2]| {
+            (n_static + n_dynamic) as f64 * shared + n_dynamic as f64 * time
+        };
+        let (alive, touched) = (
+            (c.alive[0] + c.alive[1]) as f64,
+            (c.touched[0] + c.touched[1]) as f64,
+        );
         let (visible, pixels, used) = (c.visible as f64, c.pixels as f64, c.used as f64);
         let colours = shared - 11.0;
         let useful = c.useful as f64;
@@ -111,7 +116,8 @@ impl Kernel {
                 evaluations: useful,
                 items: used,
             },
-            // a channel: two blurs of three images, 11 taps along each axis, 25 for SSIM, 10 for the rest
+            // a channel: two blurs of three images, 11 taps along each axis, 25 for SSIM, 10 for
+            // the rest
             Self::Photo => Work {
                 // the image, its gradient, three bytes of the target
                 bytes: planes(6) + 3.0 * pixels,
@@ -127,7 +133,10 @@ impl Kernel {
             },
             // forward again without extent and colour, projection 200, slice 80, colour
             Self::ProjectBackward => Work {
-                bytes: visible * SUMS + 2.0 * columns(c.touched) * NUMBER + c.splats as f64 + 8.0 * touched,
+                bytes: visible * SUMS
+                    + 2.0 * columns(c.touched) * NUMBER
+                    + c.splats as f64
+                    + 8.0 * touched,
                 operations: touched * (460.0 + 4.0 * colours) + c.touched[1] as f64 * 60.0,
                 evaluations: 0.0,
                 items: touched,
@@ -150,7 +159,11 @@ pub(super) fn alive(splats: &Splats, t: f64) -> usize {
         let x = (t - f64::from(mean)) * f64::from(-log_sd).exp();
         (-0.5 * x * x).exp()
     };
-    means.iter().zip(log_sds).filter(|&s| marginal(s) > MARGINAL_MIN).count()
+    means
+        .iter()
+        .zip(log_sds)
+        .filter(|&s| marginal(s) > MARGINAL_MIN)
+        .count()
 }
 
 /// Pairs of a pixel and a splat that is composited on it, by the definition of compositing
@@ -194,11 +207,17 @@ fn tile_box(e: &Ellipse<f32>, columns: usize, rows: usize) -> Option<([usize; 2]
     if !(reach >= 0.0 && det > 0.0) {
         return None;
     }
-    let half = [(reach * e.conic[(1, 1)] / det).sqrt(), (reach * e.conic[(0, 0)] / det).sqrt()];
+    let half = [
+        (reach * e.conic[(1, 1)] / det).sqrt(),
+        (reach * e.conic[(0, 0)] / det).sqrt(),
+    ];
     let mut out = ([0; 2], [0; 2]);
     for (axis, tiles) in [columns, rows].into_iter().enumerate() {
         let tile = |v: f32| (v / TILE as f32).floor();
-        let (first, last) = (tile(e.centre[axis] - half[axis] - 1.0), tile(e.centre[axis] + half[axis] + 1.0));
+        let (first, last) = (
+            tile(e.centre[axis] - half[axis] - 1.0),
+            tile(e.centre[axis] + half[axis] + 1.0),
+        );
         if !(last >= 0.0 && first < tiles as f32) {
             return None;
         }
@@ -220,7 +239,12 @@ mod tests {
 
     #[test]
     fn tiles_lose_no_pixel() {
-        let config = SceneConfig { splats: 400, width: 61, height: 43, kind: SceneKind::FourD };
+        let config = SceneConfig {
+            splats: 400,
+            width: 61,
+            height: 43,
+            kind: SceneKind::FourD,
+        };
         let scene = BenchScene::new(&config).unwrap();
         let view = &scene.views[3];
         let all = ellipses(&splats_of::<f32>(&scene.splats), &Setup::new(view));

@@ -1,9 +1,10 @@
 //! The SIMD version: one vector is a tile of 4x4 pixels, and each tile processes its own list.
 //!
-//! A block's list is cut into chunks; for each chunk, every tile gets the list of the entries that reach it
-//! ([`Shares`]), so that no vector is spent on a tile that a splat does not reach. No branch in the loops depends on a
-//! pixel. The transmittance of a pixel goes on falling after the pixel is finished: it never rises, so one test against
-//! [`T_MIN`] tells for each splat whether it is still blended; what it was at the end is kept apart.
+//! A block's list is cut into chunks; for each chunk, every tile gets the list of the entries that
+//! reach it ([`Shares`]), so that no vector is spent on a tile that a splat does not reach. No
+//! branch in the loops depends on a pixel. The transmittance of a pixel goes on falling after the
+//! pixel is finished: it never rises, so one test against [`T_MIN`] tells for each splat whether it
+//! is still blended; what it was at the end is kept apart.
 
 mod backward;
 mod forward;
@@ -30,12 +31,13 @@ const CHUNK: usize = 128;
 /// Entries of a tile's list that go through one stage after another, and after which it is tested
 /// whether all pixels are finished.
 const BATCH: usize = 16;
-/// The transmittance of finished pixels is put back here after every batch: far down are numbers that
-/// are slow on some processors, and few batches get there.
+/// The transmittance of finished pixels is put back here after every batch: far down are numbers
+/// that are slow on some processors, and few batches get there.
 const T_FLOOR: f32 = 0.5 * T_MIN as f32;
 
-/// What a splat's gradient is made of: sums over pixels of `omega = dL/d(alpha) alpha`, of `omega` times powers of `d =
-/// centre - pixel`, and of the channel gradients times the weight of the splat.
+/// What a splat's gradient is made of: sums over pixels of `omega = dL/d(alpha) alpha`, of `omega`
+/// times powers of `d = centre - pixel`, and of the channel gradients times the weight of the
+/// splat.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(crate) struct Sums(pub(crate) [f32; 16]);
@@ -50,8 +52,8 @@ impl Sums {
     pub(crate) const RGB: [usize; 3] = [1, 3, 5];
 }
 
-/// What the forward pass leaves of a band's lists for the passes after it: the entries that each tile
-/// needed before all its pixels were finished, in whole batches.
+/// What the forward pass leaves of a band's lists for the passes after it: the entries that each
+/// tile needed before all its pixels were finished, in whole batches.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Used {
     /// Of each block: entries of its list in chunks that some pixel was unfinished before.
@@ -75,7 +77,10 @@ impl Used {
     }
 
     fn replay(&self) -> Replay<'_> {
-        Replay { len: self.len.iter(), places: &self.places }
+        Replay {
+            len: self.len.iter(),
+            places: &self.places,
+        }
     }
 }
 
@@ -134,7 +139,10 @@ static SPREAD: [u64; 1 << BLOCK_TILES] = {
 
 impl Shares {
     fn new() -> Self {
-        Self { places: [[0; 256]; BLOCK_TILES], len: 0 }
+        Self {
+            places: [[0; 256]; BLOCK_TILES],
+            len: 0,
+        }
     }
 
     /// Shares out a chunk: every tile is offered every entry, and moves on if the entry is its own.
@@ -164,15 +172,22 @@ struct Pixels<S: Simd> {
 }
 
 /// Column and row of each pixel of a tile.
-const COLUMN: [f32; 16] = [0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3.];
-const ROW: [f32; 16] = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 3., 3., 3., 3.];
+const COLUMN: [f32; 16] = [
+    0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3.,
+];
+const ROW: [f32; 16] = [
+    0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 3., 3., 3., 3.,
+];
 const _: () = assert!(TILE == 4, "the tables above are for tiles of 4x4 pixels");
 
 impl<S: Simd> Pixels<S> {
     #[inline(always)]
     fn new(s: S, place: BandPlace, block: usize, tile: usize) -> Self {
         let (x, y) = place.corner(block, tile);
-        Self { x: f32x16::from_slice(s, &COLUMN) + all(s, x as f32), y: f32x16::from_slice(s, &ROW) + all(s, y as f32) }
+        Self {
+            x: f32x16::from_slice(s, &COLUMN) + all(s, x as f32),
+            y: f32x16::from_slice(s, &ROW) + all(s, y as f32),
+        }
     }
 }
 
@@ -186,7 +201,8 @@ fn exponent<S: Simd>(s: S, r: &Record, pixels: &Pixels<S>) -> f32x16<S> {
     (-slope).mul_add(dx, flat)
 }
 
-/// [`crate::simd::exp2`] with terms that need not wait for each other: half of the blending is this.
+/// [`crate::simd::exp2`] with terms that need not wait for each other: half of the blending is
+/// this.
 #[inline(always)]
 fn power<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
     let k = |v: f32| all(s, v);
@@ -207,7 +223,8 @@ fn alpha<S: Simd>(s: S, r: &Record, pixels: &Pixels<S>) -> f32x16<S> {
     let e = exponent(s, r, pixels);
     // where e is below its limit the power may be anything, NaN too: it is not selected
     let alpha = power(s, e).min(all(s, ALPHA_MAX as f32));
-    e.simd_ge(all(s, (ALPHA_MIN as f32).log2())).select(alpha, all(s, 0.0))
+    e.simd_ge(all(s, (ALPHA_MIN as f32).log2()))
+        .select(alpha, all(s, 0.0))
 }
 
 /// What sixteen pixels do with one splat.
@@ -226,7 +243,11 @@ struct Step<S: Simd> {
 fn step<S: Simd>(s: S, alpha: f32x16<S>, t: f32x16<S>) -> Step<S> {
     let next = (-alpha).mul_add(t, t);
     let pass = next.simd_ge(all(s, T_MIN as f32));
-    Step { weight: pass.select(alpha * t, all(s, 0.0)), t: next, pass }
+    Step {
+        weight: pass.select(alpha * t, all(s, 0.0)),
+        t: next,
+        pass,
+    }
 }
 
 #[cfg(test)]
@@ -245,13 +266,21 @@ mod tests {
     };
     use m4_core::CounterRng;
 
-    const PLACE: BandPlace = BandPlace { top: 32, rows: 13, width: 45 };
+    const PLACE: BandPlace = BandPlace {
+        top: 32,
+        rows: 13,
+        width: 45,
+    };
 
     fn random_records(n: usize, log_opacity: f64) -> Vec<Record> {
         let mut rng = CounterRng::new(5, n as u64, 0);
         (0..n)
             .map(|_| {
-                let (turn, long, short) = (3.0 * rng.uniform(), 0.5 + 6.0 * rng.uniform(), 0.4 + rng.uniform());
+                let (turn, long, short) = (
+                    3.0 * rng.uniform(),
+                    0.5 + 6.0 * rng.uniform(),
+                    0.4 + rng.uniform(),
+                );
                 let (cos, sin) = (turn.cos(), turn.sin());
                 let (p, q) = (1.0 / (long * long), 1.0 / (short * short));
                 Record {
@@ -274,15 +303,19 @@ mod tests {
         std::array::from_fn(|row| {
             let reached = |tile: u32| {
                 (0..TILE * TILE).any(|p| {
-                    let dx = f64::from(record.x) - f64::from(tile) * TILE as f64 - (p % TILE) as f64;
+                    let dx =
+                        f64::from(record.x) - f64::from(tile) * TILE as f64 - (p % TILE) as f64;
                     let dy = f64::from(record.y) - (PLACE.top + row * TILE + p / TILE) as f64;
-                    let [a, b, c, l] = [record.a, record.b, record.c, record.log_opacity].map(f64::from);
+                    let [a, b, c, l] =
+                        [record.a, record.b, record.c, record.log_opacity].map(f64::from);
                     // a hair more, for the rounding of f32
                     l - a * dx * dx - b * dx * dy - c * dy * dy >= ALPHA_MIN.log2() - 1e-3
                 })
             };
             let mut tiles = (0..tiles_x).filter(|&tile| everything || reached(tile));
-            tiles.next().map_or(0, |first| span(first, tiles.next_back().unwrap_or(first) + 1))
+            tiles.next().map_or(0, |first| {
+                span(first, tiles.next_back().unwrap_or(first) + 1)
+            })
         })
     }
 
@@ -297,7 +330,11 @@ mod tests {
         let mut planes = vec![vec![0.0f32; n]; 5];
         let mut used = Used::default();
         let [r, g, b, t, z] = planes.get_disjoint_mut([0, 1, 2, 3, 4]).unwrap();
-        let mut out = BandPlanes { rgb: [r, g, b], transmittance: t, depth: z };
+        let mut out = BandPlanes {
+            rgb: [r, g, b],
+            transmittance: t,
+            depth: z,
+        };
         dispatch!(level.level(), s => forward(s, &band, &rows, PLACE, [0.3, 0.2, 0.1], &mut out, &mut used));
         let gradient = |k: u64| -> Vec<f32> {
             let mut rng = CounterRng::new(6, k, 0);
@@ -310,12 +347,19 @@ mod tests {
             d_rgb: [&v[0], &v[1], &v[2]],
         };
         let mut sums = Vec::new();
-        let background = dispatch!(level.level(), s => backward(s, &band, &rows, PLACE, &used, &g, &mut sums));
+        let background =
+            dispatch!(level.level(), s => backward(s, &band, &rows, PLACE, &used, &g, &mut sums));
         let mut scores = Vec::new();
         let weight: Vec<f32> = v[0].iter().map(|w| w.abs()).collect();
         dispatch!(level.level(), s => score(s, &band, &rows, PLACE, &used, &weight, &mut scores));
         let sums = sums.iter().flat_map(|s: &Sums| s.0);
-        let all = planes.iter().flatten().copied().chain(sums).chain(scores).collect();
+        let all = planes
+            .iter()
+            .flatten()
+            .copied()
+            .chain(sums)
+            .chain(scores)
+            .collect();
         (all, background, used.total())
     }
 
@@ -331,7 +375,10 @@ mod tests {
                 let (all, all_background, all_used) = run(level, &records, true);
                 assert!(some == all && some_background == all_background, "{name}");
                 assert!(some.iter().all(|v| v.is_finite()), "{name}");
-                assert!(some_used > n && 2 * some_used < all_used, "{name}: {some_used} of {all_used}");
+                assert!(
+                    some_used > n && 2 * some_used < all_used,
+                    "{name}: {some_used} of {all_used}"
+                );
             }
         }
     }

@@ -173,7 +173,8 @@ fn fetch(records: &[f32], splats: &[u32], entry: u32, out: &mut Array<f32>) {
     }
 }
 
-/// The logarithm of the opacity, to base 2, of entry `k` at a pixel; too little to be seen after the last entry.
+/// The logarithm of the opacity, to base 2, of entry `k` at a pixel; too little to be seen after
+/// the last entry.
 #[cube]
 fn exponent_at(batch: &Shared<[f32]>, k: u32, count: u32, px: f32, py: f32) -> f32 {
     let r = k as usize * RECORD;

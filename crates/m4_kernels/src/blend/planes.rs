@@ -31,12 +31,15 @@ impl Window {
     #[inline(always)]
     pub(super) fn load<S: Simd>(&self, s: S, plane: &[f32]) -> f32x16<S> {
         if self.whole() {
-            let row = |y: usize| fearless_simd::f32x4::from_slice(s, &plane[self.offset + y * self.width..][..TILE]);
+            let row = |y: usize| {
+                fearless_simd::f32x4::from_slice(s, &plane[self.offset + y * self.width..][..TILE])
+            };
             return row(0).combine(row(1)).combine(row(2).combine(row(3)));
         }
         let mut out = [0.0; PIXELS];
         for (y, row) in out.chunks_exact_mut(TILE).take(self.rows).enumerate() {
-            row[..self.columns].copy_from_slice(&plane[self.offset + y * self.width..][..self.columns]);
+            row[..self.columns]
+                .copy_from_slice(&plane[self.offset + y * self.width..][..self.columns]);
         }
         f32x16::from_slice(s, &out)
     }
@@ -120,7 +123,11 @@ impl BandPlace {
             offset: y * self.width + x,
             columns: self.width.saturating_sub(x).min(TILE),
             // none where no column is: what lies there need not be in the planes
-            rows: if x < self.width { self.rows.saturating_sub(y).min(TILE) } else { 0 },
+            rows: if x < self.width {
+                self.rows.saturating_sub(y).min(TILE)
+            } else {
+                0
+            },
             width: self.width,
         }
     }

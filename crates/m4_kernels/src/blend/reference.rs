@@ -59,7 +59,14 @@ pub fn walk<T: Real, C: Cutoff>(
         if behind < C::t_min() {
             break;
         }
-        visit(Contribution { index, d, falloff, alpha, slope, transmittance });
+        visit(Contribution {
+            index,
+            d,
+            falloff,
+            alpha,
+            slope,
+            transmittance,
+        });
         transmittance = behind;
     }
     transmittance
@@ -71,11 +78,22 @@ fn dot<T: Real>(a: &[T; CHANNELS], b: &[T; CHANNELS]) -> T {
 
 /// The background as channels: depth and alpha have none.
 fn behind_all<T: Real>(background: &[T; 3]) -> [T; CHANNELS] {
-    [background[0], background[1], background[2], T::zero(), T::zero()]
+    [
+        background[0],
+        background[1],
+        background[2],
+        T::zero(),
+        T::zero(),
+    ]
 }
 
 /// The image of `splats`, which are in order of depth.
-pub fn blend<T: Real, C: Cutoff>(splats: &[Ellipse<T>], width: usize, height: usize, background: &[T; 3]) -> Image<T> {
+pub fn blend<T: Real, C: Cutoff>(
+    splats: &[Ellipse<T>],
+    width: usize,
+    height: usize,
+    background: &[T; 3],
+) -> Image<T> {
     let mut image = Image {
         width,
         height,
@@ -99,9 +117,15 @@ pub fn blend<T: Real, C: Cutoff>(splats: &[Ellipse<T>], width: usize, height: us
     image
 }
 
-/// Adds what one contribution passes on, given the gradients with respect to its `alpha` (`d_alpha`)
-/// and to the pixel (`g`).
-fn accumulate<T: Real>(out: &mut Ellipse<T>, splat: &Ellipse<T>, c: &Contribution<T>, d_alpha: T, g: &[T; CHANNELS]) {
+/// Adds what one contribution passes on, given the gradients with respect to its `alpha`
+/// (`d_alpha`) and to the pixel (`g`).
+fn accumulate<T: Real>(
+    out: &mut Ellipse<T>,
+    splat: &Ellipse<T>,
+    c: &Contribution<T>,
+    d_alpha: T,
+    g: &[T; CHANNELS],
+) {
     for k in 0..CHANNELS {
         out.channels[k] += g[k] * c.transmittance * c.alpha;
     }
@@ -119,8 +143,8 @@ fn add_background<T: Real>(out: &mut [T; 3], transmittance: T, g: &[T; CHANNELS]
 }
 
 /// Gradient with respect to splats and background, given `g`, `[height * width]`, with respect to
-/// [`Image::pixels`], back to front. The twins go front to back from the final image and one scalar per pixel
-/// (docs/spec/optimiser.md 1.7), which is the same gradient.
+/// [`Image::pixels`], back to front. The twins go front to back from the final image and one scalar
+/// per pixel (docs/spec/optimiser.md 1.7), which is the same gradient.
 pub fn blend_vjp<T: Real, C: Cutoff>(
     splats: &[Ellipse<T>],
     width: usize,
@@ -128,7 +152,10 @@ pub fn blend_vjp<T: Real, C: Cutoff>(
     background: &[T; 3],
     g: &[[T; CHANNELS]],
 ) -> BlendGradient<T> {
-    let mut out = BlendGradient { splats: vec![Ellipse::zero(); splats.len()], background: [T::zero(); 3] };
+    let mut out = BlendGradient {
+        splats: vec![Ellipse::zero(); splats.len()],
+        background: [T::zero(); 3],
+    };
     let background = behind_all(background);
     for (pixel, g) in g.iter().enumerate().take(width * height) {
         let mut seen = Vec::new();

@@ -8,7 +8,13 @@ use cubecl::prelude::*;
 use m4_core::Column;
 
 /// Adds the gradient of the dynamic splats that `touched` names to `gradients`, with this `weight`.
-pub fn add(gpu: &Gpu, splats: &DeviceSplats, gradients: &DeviceSplats, touched: &Buffer, weight: f32) {
+pub fn add(
+    gpu: &Gpu,
+    splats: &DeviceSplats,
+    gradients: &DeviceSplats,
+    touched: &Buffer,
+    weight: f32,
+) {
     let (n, n_static, layout) = (splats.n, splats.n_static, splats.layout);
     if n == n_static {
         return;

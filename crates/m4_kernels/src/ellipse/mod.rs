@@ -1,4 +1,5 @@
-//! A splat on the image: an ellipse with an opacity, and its alpha at a pixel (docs/spec/optimiser.md 1.7).
+//! A splat on the image: an ellipse with an opacity, and its alpha at a pixel
+//! (docs/spec/optimiser.md 1.7).
 //!
 //! ```text
 //! d = centre - pixel
@@ -6,7 +7,8 @@
 //! alpha = min(ALPHA_MAX, opacity e^q)               none if alpha < ALPHA_MIN
 //! ```
 //!
-//! Binning asks which pixels an ellipse reaches, blending what it adds to them; the projection leaves out what can reach none.
+//! Binning asks which pixels an ellipse reaches, blending what it adds to them; the projection
+//! leaves out what can reach none.
 
 pub mod reference;
 

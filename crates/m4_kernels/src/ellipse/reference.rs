@@ -1,8 +1,9 @@
 //! The definition of a splat's alpha at a pixel.
 //!
-//! Generic over the [`Cutoff`] too: the product keeps the [`Hard`] step at [`ALPHA_MIN`], which makes
-//! the image discontinuous in its parameters, so that central differences disagree with the gradient
-//! for a few entries however small the step. Tests of gradients therefore run with [`Smooth`].
+//! Generic over the [`Cutoff`] too: the product keeps the [`Hard`] step at [`ALPHA_MIN`], which
+//! makes the image discontinuous in its parameters, so that central differences disagree with the
+//! gradient for a few entries however small the step. Tests of gradients therefore run with
+//! [`Smooth`].
 
 use super::{ALPHA_MAX, ALPHA_MIN, T_MIN};
 use m4_core::{
@@ -91,12 +92,22 @@ pub struct Ellipse<T: Real> {
 impl<T: Real> Ellipse<T> {
     /// All 0: where a gradient starts.
     pub fn zero() -> Self {
-        Self { centre: Vector2::zeros(), conic: Matrix2::zeros(), opacity: T::zero(), channels: [T::zero(); CHANNELS] }
+        Self {
+            centre: Vector2::zeros(),
+            conic: Matrix2::zeros(),
+            opacity: T::zero(),
+            channels: [T::zero(); CHANNELS],
+        }
     }
 }
 
-/// `(d, e^q, alpha, slope)` of one splat at one pixel, whatever lies in front; `None` where skipped.
-pub fn reach<T: Real, C: Cutoff>(splat: &Ellipse<T>, x: usize, y: usize) -> Option<(Vector2<T>, T, T, T)> {
+/// `(d, e^q, alpha, slope)` of one splat at one pixel, whatever lies in front; `None` where
+/// skipped.
+pub fn reach<T: Real, C: Cutoff>(
+    splat: &Ellipse<T>,
+    x: usize,
+    y: usize,
+) -> Option<(Vector2<T>, T, T, T)> {
     let d = splat.centre - Vector2::new(T::of(x as f64), T::of(y as f64));
     let a = &splat.conic;
     let q = T::of(-0.5) * (a[(0, 0)] * d.x * d.x + a[(1, 1)] * d.y * d.y) - a[(0, 1)] * d.x * d.y;

@@ -17,7 +17,10 @@ impl Buffer {
     /// Room for `len` numbers (at least one), which hold anything.
     pub fn empty(client: &Client, len: usize) -> Self {
         let len = len.max(1);
-        Self { handle: client.empty(4 * len), len }
+        Self {
+            handle: client.empty(4 * len),
+            len,
+        }
     }
 
     /// A copy of `values`.
@@ -25,7 +28,10 @@ impl Buffer {
         if values.is_empty() {
             return Self::empty(client, 1);
         }
-        Self { handle: client.create_from_slice(f32::as_bytes(values)), len: values.len() }
+        Self {
+            handle: client.create_from_slice(f32::as_bytes(values)),
+            len: values.len(),
+        }
     }
 
     /// `len` zeros.
@@ -37,7 +43,12 @@ impl Buffer {
 
     /// Sets every number to 0.
     pub fn clear(&self, client: &Client) {
-        launch!(client, clear::launch, (cubes(self.len, 256), units()), [self]);
+        launch!(
+            client,
+            clear::launch,
+            (cubes(self.len, 256), units()),
+            [self]
+        );
     }
 
     /// A copy of `values`.
@@ -45,7 +56,10 @@ impl Buffer {
         if values.is_empty() {
             return Self::empty(client, 1);
         }
-        Self { handle: client.create_from_slice(u32::as_bytes(values)), len: values.len() }
+        Self {
+            handle: client.create_from_slice(u32::as_bytes(values)),
+            len: values.len(),
+        }
     }
 
     /// Numbers.
@@ -61,15 +75,21 @@ impl Buffer {
         unsafe { BufferArg::from_raw_parts(self.handle.clone(), self.len) }
     }
 
-    /// Waits for what was asked for and copies it to the host. Fails with [`GpuError`] if the device failed.
+    /// Waits for what was asked for and copies it to the host. Fails with [`GpuError`] if the
+    /// device failed.
     pub fn read_floats(&self, client: &Client, doing: &'static str) -> Result<Vec<f32>, GpuError> {
-        let bytes = client.read_one(self.handle.clone()).map_err(|error| failed(doing, &error))?;
+        let bytes = client
+            .read_one(self.handle.clone())
+            .map_err(|error| failed(doing, &error))?;
         Ok(f32::from_bytes(&bytes)[..self.len].to_vec())
     }
 
-    /// Waits for what was asked for and copies it to the host. Fails with [`GpuError`] if the device failed.
+    /// Waits for what was asked for and copies it to the host. Fails with [`GpuError`] if the
+    /// device failed.
     pub fn read_words(&self, client: &Client, doing: &'static str) -> Result<Vec<u32>, GpuError> {
-        let bytes = client.read_one(self.handle.clone()).map_err(|error| failed(doing, &error))?;
+        let bytes = client
+            .read_one(self.handle.clone())
+            .map_err(|error| failed(doing, &error))?;
         Ok(u32::from_bytes(&bytes)[..self.len].to_vec())
     }
 }
@@ -77,7 +97,8 @@ impl Buffer {
 /// In place of an index where there is none: of the row of splats that start from nothing.
 pub const NOTHING: u32 = u32::MAX;
 
-/// Launches a kernel: the client, the kernel, cubes and units of a cube, its [`Buffer`]s, and what follows them.
+/// Launches a kernel: the client, the kernel, cubes and units of a cube, its [`Buffer`]s, and what
+/// follows them.
 #[macro_export]
 macro_rules! launch {
     ($client:expr, $kernel:path, ($cubes:expr, $units:expr), [$($buffer:expr),* $(,)?] $(, [$($value:expr),* $(,)?])? $(,)?) => {

@@ -1,4 +1,5 @@
-//! NVIDIA GPUs through CUDA. Driver and compiler are loaded at run time, so the build does not need them.
+//! NVIDIA GPUs through CUDA. Driver and compiler are loaded at run time, so the build does not need
+//! them.
 
 use crate::gpu::device::{Adapter, AdapterKind, Place, unfit};
 use cubecl::device::CudaDevice;
@@ -12,7 +13,8 @@ use std::path::PathBuf;
 /// Largest buffer that kernels can count in numbers of 32 bits, bytes.
 const LARGEST: u64 = 4 << 32;
 
-/// What CUDA needs at run time and this machine does not have, and how to get it; `None` if it is all there.
+/// What CUDA needs at run time and this machine does not have, and how to get it; `None` if it is
+/// all there.
 pub(crate) fn missing() -> Option<String> {
     let mut missing = Vec::new();
     if !has_driver() {
@@ -34,7 +36,8 @@ pub(crate) fn missing() -> Option<String> {
 
 #[expect(unsafe_code, reason = "opening a library runs its start-up code")]
 fn has_driver() -> bool {
-    // SAFETY: this only tries to open the driver's library by its names; its start-up code asks nothing of the caller.
+    // SAFETY: this only tries to open the driver's library by its names; its start-up code asks
+    // nothing of the caller.
     unsafe { sys::is_culib_present() }
 }
 
@@ -64,7 +67,9 @@ pub(crate) fn adapters() -> Vec<Adapter> {
     }
     let missing = missing();
     let count = result::device::get_count().unwrap_or(0);
-    (0..count).filter_map(|i| adapter(i, missing.as_deref())).collect()
+    (0..count)
+        .filter_map(|i| adapter(i, missing.as_deref()))
+        .collect()
 }
 
 #[expect(unsafe_code, reason = "the driver takes the device on trust")]
@@ -81,19 +86,28 @@ fn adapter(ordinal: i32, missing: Option<&str>) -> Option<Adapter> {
     Some(Adapter {
         index: 0,
         name: result::device::get_name(device).ok()?,
-        kind: if integrated { AdapterKind::Integrated } else { AdapterKind::Discrete },
+        kind: if integrated {
+            AdapterKind::Integrated
+        } else {
+            AdapterKind::Discrete
+        },
         api: "CUDA".to_owned(),
         driver: version(),
         max_buffer_bytes: (bytes as u64).min(LARGEST),
         max_units,
         max_shared_bytes,
-        unfit: missing.map(str::to_owned).or_else(|| unfit(max_units, max_shared_bytes)),
+        unfit: missing
+            .map(str::to_owned)
+            .or_else(|| unfit(max_units, max_shared_bytes)),
         place: Place::Cuda(usize::try_from(ordinal).ok()?),
     })
 }
 
 /// The newest CUDA that the driver knows, such as `CUDA 13.0`.
-#[expect(unsafe_code, reason = "the driver writes its version where it is told to")]
+#[expect(
+    unsafe_code,
+    reason = "the driver writes its version where it is told to"
+)]
 fn version() -> String {
     let mut version = 0;
     // SAFETY: `version` outlives the call.
@@ -107,10 +121,14 @@ fn version() -> String {
 /// Starts the device of that number; what its driver says if it refuses.
 pub(crate) fn start(ordinal: usize) -> Result<Client, String> {
     // the runtime panics where its driver returns an error
-    catch_unwind(AssertUnwindSafe(|| cubecl::Device::Cuda(CudaDevice::new(ordinal)).client())).map_err(|panic| {
+    catch_unwind(AssertUnwindSafe(|| {
+        cubecl::Device::Cuda(CudaDevice::new(ordinal)).client()
+    }))
+    .map_err(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str);
         let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
-        text.unwrap_or("its runtime failed without a reason").to_owned()
+        text.unwrap_or("its runtime failed without a reason")
+            .to_owned()
     })
 }
 
@@ -123,11 +141,19 @@ mod tests {
         let (missing, found) = (missing(), adapters());
         if !has_driver() {
             assert!(found.is_empty(), "{found:?}");
-            assert!(missing.as_ref().is_some_and(|text| text.contains("libcuda")), "{missing:?}");
+            assert!(
+                missing
+                    .as_ref()
+                    .is_some_and(|text| text.contains("libcuda")),
+                "{missing:?}"
+            );
         }
         for adapter in &found {
             assert_eq!(adapter.api, "CUDA");
-            assert!(!adapter.name.is_empty() && adapter.max_units >= 256, "{adapter:?}");
+            assert!(
+                !adapter.name.is_empty() && adapter.max_units >= 256,
+                "{adapter:?}"
+            );
             assert_eq!(adapter.unfit, missing);
         }
     }

@@ -103,9 +103,10 @@ const UNITS: u32 = 256;
 /// Bytes shared by a cube that the kernels need.
 const SHARED_BYTES: u32 = 13_840;
 
-/// The adapters of this machine in the order of their index, on the first of Vulkan, Metal and DX12 that has more than
-/// software; where none has, software on the first that has any. Before them those of CUDA, in a build with the feature
-/// `cuda`: a GPU can be there twice. Empty without a driver. They are looked for once per process.
+/// The adapters of this machine in the order of their index, on the first of Vulkan, Metal and DX12
+/// that has more than software; where none has, software on the first that has any. Before them
+/// those of CUDA, in a build with the feature `cuda`: a GPU can be there twice. Empty without a
+/// driver. They are looked for once per process.
 pub fn adapters() -> &'static [Adapter] {
     static ALL: OnceLock<Vec<Adapter>> = OnceLock::new();
     ALL.get_or_init(find_adapters)
@@ -123,8 +124,8 @@ fn find_adapters() -> Vec<Adapter> {
     all
 }
 
-/// What CUDA needs at run time and this machine does not have, and how to get it; `None` if it is all there, and in builds
-/// without the feature `cuda`.
+/// What CUDA needs at run time and this machine does not have, and how to get it; `None` if it is
+/// all there, and in builds without the feature `cuda`.
 pub fn missing_for_cuda() -> Option<String> {
     #[cfg(feature = "cuda")]
     return crate::gpu::cuda::missing();
@@ -134,7 +135,11 @@ pub fn missing_for_cuda() -> Option<String> {
 
 fn graphics_adapters() -> Vec<Adapter> {
     let mut software_only = None;
-    for backend in [wgpu::Backends::VULKAN, wgpu::Backends::METAL, wgpu::Backends::DX12] {
+    for backend in [
+        wgpu::Backends::VULKAN,
+        wgpu::Backends::METAL,
+        wgpu::Backends::DX12,
+    ] {
         let found = adapters_of(backend);
         if found.iter().any(|a| a.kind != AdapterKind::Software) {
             return found;
@@ -151,8 +156,12 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
     settings.backends = backend;
     let instance = wgpu::Instance::new(settings);
     let found = block_on(instance.enumerate_adapters(backend));
-    // with its last instance a driver is unloaded, and threads that used NVIDIA's crash when they end
-    INSTANCES.lock().unwrap_or_else(PoisonError::into_inner).push(instance);
+    // with its last instance a driver is unloaded, and threads that used NVIDIA's crash when they
+    // end
+    INSTANCES
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .push(instance);
     let mut seen = [0usize; 5];
     let mut out = Vec::new();
     for (index, adapter) in found.iter().enumerate() {
@@ -164,15 +173,21 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
             DeviceType::Cpu => (AdapterKind::Software, 3),
             DeviceType::Other => (AdapterKind::Other, 4),
         };
-        let (max_units, max_shared_bytes) =
-            (limits.max_compute_invocations_per_workgroup, limits.max_compute_workgroup_storage_size);
+        let (max_units, max_shared_bytes) = (
+            limits.max_compute_invocations_per_workgroup,
+            limits.max_compute_workgroup_storage_size,
+        );
         out.push(Adapter {
             index,
             name: info.name.clone(),
             kind,
             api: format!("{:?}", info.backend),
-            driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
-            max_buffer_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+            driver: format!("{} {}", info.driver, info.driver_info)
+                .trim()
+                .to_owned(),
+            max_buffer_bytes: limits
+                .max_storage_buffer_binding_size
+                .min(limits.max_buffer_size),
             max_units,
             max_shared_bytes,
             unfit: unfit(max_units, max_shared_bytes),
@@ -188,14 +203,16 @@ pub(crate) fn unfit(max_units: u32, max_shared_bytes: u32) -> Option<String> {
     if max_units < UNITS {
         Some(format!("{max_units} units a cube, {UNITS} are needed"))
     } else if max_shared_bytes < SHARED_BYTES {
-        Some(format!("{max_shared_bytes} bytes shared by a cube, {SHARED_BYTES} are needed"))
+        Some(format!(
+            "{max_shared_bytes} bytes shared by a cube, {SHARED_BYTES} are needed"
+        ))
     } else {
         None
     }
 }
 
-/// The best adapter that is fit and more than software: discrete before integrated before virtual, and the
-/// first of those.
+/// The best adapter that is fit and more than software: discrete before integrated before virtual,
+/// and the first of those.
 pub fn best(adapters: &[Adapter]) -> Option<&Adapter> {
     let rank = |a: &&Adapter| match a.kind {
         AdapterKind::Discrete => 0,
@@ -208,7 +225,8 @@ pub fn best(adapters: &[Adapter]) -> Option<&Adapter> {
     adapters.iter().filter(of_use).min_by_key(rank)
 }
 
-/// The one that is chosen where the user does not choose: the best, if it is a card of its own. Others have not been measured.
+/// The one that is chosen where the user does not choose: the best, if it is a card of its own.
+/// Others have not been measured.
 pub fn automatic(adapters: &[Adapter]) -> Option<&Adapter> {
     best(adapters).filter(|a| a.kind == AdapterKind::Discrete)
 }
@@ -240,25 +258,36 @@ impl std::fmt::Debug for Gpu {
 }
 
 impl Gpu {
-    /// Starts the adapter that `choice` names.
-    /// Fails with [`GpuError::NoAdapter`] if there is none, [`GpuError::NotStarted`] if it is unfit or its driver refuses.
+    /// Starts the adapter that `choice` names. Fails with [`GpuError::NoAdapter`] if there is none,
+    /// [`GpuError::NotStarted`] if it is unfit or its driver refuses.
     pub fn open(choice: Choice) -> Result<Self, GpuError> {
         let all = adapters();
         let (wanted, adapter) = match choice {
             Choice::Best => ("that is more than software".to_owned(), best(all)),
             Choice::Index(index) => (index.to_string(), all.get(index)),
-            Choice::Software => ("made of software".to_owned(), all.iter().find(|a| a.kind == AdapterKind::Software)),
+            Choice::Software => (
+                "made of software".to_owned(),
+                all.iter().find(|a| a.kind == AdapterKind::Software),
+            ),
         };
         let Some(adapter) = adapter else {
-            let names: Vec<String> = all.iter().map(|a| format!("{}: {}", a.index, a.name)).collect();
-            let found = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
+            let names: Vec<String> = all
+                .iter()
+                .map(|a| format!("{}: {}", a.index, a.name))
+                .collect();
+            let found = if names.is_empty() {
+                "none".to_owned()
+            } else {
+                names.join(", ")
+            };
             return Err(GpuError::NoAdapter { wanted, found });
         };
         Self::start(adapter)
     }
 
-    /// Starts the GPU for tests: the one whose index in [`adapters`] the variable `MINUTE4D_TEST_GPU` holds, else the best, else
-    /// a software driver. Fails as [`open`](Self::open).
+    /// Starts the GPU for tests: the one whose index in [`adapters`] the variable
+    /// `MINUTE4D_TEST_GPU` holds, else the best, else a software driver. Fails as
+    /// [`open`](Self::open).
     pub fn for_tests() -> Result<Self, GpuError> {
         let Ok(index) = std::env::var("MINUTE4D_TEST_GPU") else {
             return Self::open(Choice::Best).or_else(|_| Self::open(Choice::Software));
@@ -268,16 +297,26 @@ impl Gpu {
     }
 
     fn start(adapter: &Adapter) -> Result<Self, GpuError> {
-        let refused = |why: String| GpuError::NotStarted { name: adapter.name.clone(), why };
+        let refused = |why: String| GpuError::NotStarted {
+            name: adapter.name.clone(),
+            why,
+        };
         if let Some(why) = &adapter.unfit {
             return Err(refused(why.clone()));
         }
         #[cfg(feature = "cuda")]
         if let Runtime::Cuda(ordinal) = adapter.runtime() {
             let client = crate::gpu::cuda::start(ordinal).map_err(refused)?;
-            return Ok(Self { client, adapter: adapter.clone(), inputs: Inputs::default() });
+            return Ok(Self {
+                client,
+                adapter: adapter.clone(),
+                inputs: Inputs::default(),
+            });
         }
-        #[cfg_attr(not(feature = "cuda"), expect(irrefutable_let_patterns, reason = "CUDA is the other one"))]
+        #[cfg_attr(
+            not(feature = "cuda"),
+            expect(irrefutable_let_patterns, reason = "CUDA is the other one")
+        )]
         let Runtime::Wgpu(device) = adapter.runtime() else {
             return Err(refused("it belongs to no runtime of this build".to_owned()));
         };
@@ -288,7 +327,11 @@ impl Gpu {
                 .map_err(|error| refused(error.to_string()))?;
             started.push(adapter.place);
         }
-        Ok(Self { client: Device::Wgpu(device).client(), adapter: adapter.clone(), inputs: Inputs::default() })
+        Ok(Self {
+            client: Device::Wgpu(device).client(),
+            adapter: adapter.clone(),
+            inputs: Inputs::default(),
+        })
     }
 
     /// The kind.
@@ -310,7 +353,8 @@ impl Gpu {
         })
     }
 
-    /// Waits for everything that was asked for. Fails with [`GpuError::Failed`] with what went wrong on the way.
+    /// Waits for everything that was asked for. Fails with [`GpuError::Failed`] with what went
+    /// wrong on the way.
     pub fn wait(&self, doing: &'static str) -> Result<(), GpuError> {
         block_on(self.client.sync()).map_err(|error| failed(doing, &error))
     }
@@ -321,7 +365,10 @@ static INSTANCES: Mutex<Vec<wgpu::Instance>> = Mutex::new(Vec::new());
 static STARTED: Mutex<Vec<Place>> = Mutex::new(Vec::new());
 
 pub(crate) fn failed(doing: &'static str, error: &impl std::fmt::Display) -> GpuError {
-    GpuError::Failed { doing, why: error.to_string() }
+    GpuError::Failed {
+        doing,
+        why: error.to_string(),
+    }
 }
 
 /// Waits for a future that needs no runtime.
@@ -351,8 +398,8 @@ pub(crate) mod tests {
 pub struct DeviceMemory {
     /// Of buffers that are in use now.
     pub in_use: u64,
-    /// Taken from the driver: buffers, what is kept for those to come, staging. It rarely shrinks, so that it is close
-    /// to the most that was ever taken.
+    /// Taken from the driver: buffers, what is kept for those to come, staging. It rarely shrinks,
+    /// so that it is close to the most that was ever taken.
     pub reserved: u64,
 }
 
@@ -360,7 +407,10 @@ impl Gpu {
     /// What the runtime says that this process holds on the device.
     pub fn memory(&self) -> DeviceMemory {
         let usage = self.client.memory_report(MemoryScope::Device).usage();
-        DeviceMemory { in_use: usage.bytes_in_use, reserved: usage.bytes_reserved }
+        DeviceMemory {
+            in_use: usage.bytes_in_use,
+            reserved: usage.bytes_reserved,
+        }
     }
 
     /// Gives what is in no buffer back to the driver, as far as the runtime does.
@@ -369,7 +419,9 @@ impl Gpu {
         let doing = "giving memory back";
         self.inputs.clear();
         self.wait(doing)?;
-        self.client.memory_cleanup().map_err(|error| failed(doing, &error))
+        self.client
+            .memory_cleanup()
+            .map_err(|error| failed(doing, &error))
     }
 
     /// Whether kernels are timed by the device's own clock.

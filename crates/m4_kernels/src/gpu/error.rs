@@ -8,7 +8,10 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum GpuError {
     /// No adapter answers to that.
-    #[error("there is no GPU {wanted}; this machine has {found}. Choose one of them, or {}", CPU)]
+    #[error(
+        "there is no GPU {wanted}; this machine has {found}. Choose one of them, or {}",
+        CPU
+    )]
     NoAdapter {
         /// The requested value.
         wanted: String,
@@ -80,7 +83,10 @@ pub enum GpuError {
         parts: String,
     },
     /// The device was lost, is out of memory, or a kernel failed.
-    #[error("the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or {}", CPU)]
+    #[error(
+        "the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or {}",
+        CPU
+    )]
     Failed {
         /// The operation.
         doing: &'static str,

@@ -1,8 +1,8 @@
 //! Small inputs of kernels: a camera, rates, tables.
 //!
-//! On Vulkan, Metal and DX12 an upload submits all work that was asked for before it, at the cost of several launches. So what returns
-//! (the cameras of the frames) is kept on the device by its content, and what does not is written by a kernel that gets the numbers with
-//! its launch.
+//! On Vulkan, Metal and DX12 an upload submits all work that was asked for before it, at the cost
+//! of several launches. So what returns (the cameras of the frames) is kept on the device by its
+//! content, and what does not is written by a kernel that gets the numbers with its launch.
 
 use crate::gpu::Gpu;
 use crate::gpu::buffer::Buffer;
@@ -22,7 +22,10 @@ pub(super) struct Inputs(Arc<Mutex<HashMap<Vec<u32>, Buffer>>>);
 impl Inputs {
     /// Forgets all.
     pub fn clear(&self) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clear();
     }
 }
 
@@ -45,7 +48,12 @@ impl Gpu {
     /// The same of numbers.
     #[must_use]
     pub fn input_floats(&self, values: &[f32]) -> Buffer {
-        self.input(&values.iter().map(|value| value.to_bits()).collect::<Vec<u32>>())
+        self.input(
+            &values
+                .iter()
+                .map(|value| value.to_bits())
+                .collect::<Vec<u32>>(),
+        )
     }
 
     /// Numbers on the device that are used once.
@@ -55,7 +63,13 @@ impl Gpu {
             Runtime::Wgpu(_) if !values.is_empty() => {
                 let out = Buffer::empty(&self.client, values.len());
                 let values = values.iter().copied().collect();
-                launch!(&self.client, put::launch, (CubeCount::new_single(), CubeDim::new_single()), [out], [values]);
+                launch!(
+                    &self.client,
+                    put::launch,
+                    (CubeCount::new_single(), CubeDim::new_single()),
+                    [out],
+                    [values]
+                );
                 out
             }
             _ => Buffer::floats(&self.client, values),
@@ -81,12 +95,22 @@ mod tests {
         let Some(gpu) = gpu("inputs") else { return };
         let values: Vec<f32> = (0..77).map(|k| 0.5 * k as f32 - 3.25).collect();
         for values in [&values[..], &values[..1], &values[1..40]] {
-            for buffer in [gpu.passing(values), gpu.input_floats(values), gpu.input_floats(values)] {
+            for buffer in [
+                gpu.passing(values),
+                gpu.input_floats(values),
+                gpu.input_floats(values),
+            ] {
                 assert_eq!(buffer.read_floats(&gpu.client, "test").unwrap(), values);
             }
         }
-        assert_eq!(gpu.input(&[7, 9]).read_words(&gpu.client, "test").unwrap(), [7, 9]);
+        assert_eq!(
+            gpu.input(&[7, 9]).read_words(&gpu.client, "test").unwrap(),
+            [7, 9]
+        );
         gpu.give_back().unwrap();
-        assert_eq!(gpu.input(&[7, 9]).read_words(&gpu.client, "test").unwrap(), [7, 9]);
+        assert_eq!(
+            gpu.input(&[7, 9]).read_words(&gpu.client, "test").unwrap(),
+            [7, 9]
+        );
     }
 }

@@ -1,6 +1,9 @@
 //! Numbers that sort as floats do.
 
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use cubecl::prelude::*;
 

@@ -1,6 +1,10 @@
-//! Gradients of a frame's camera and exposure: one row of numbers per view, kept on the device until the host reads them.
+//! Gradients of a frame's camera and exposure: one row of numbers per view, kept on the device
+//! until the host reads them.
 
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::scan::cube_sum;
@@ -22,8 +26,8 @@ pub struct Log<const N: usize> {
 }
 
 impl<const N: usize> Log<N> {
-    /// Memory for a view of frame `frame`: `N` sums for each cube of 256 of `n` things. [`add_up`](Self::add_up) comes
-    /// after they are written.
+    /// Memory for a view of frame `frame`: `N` sums for each cube of 256 of `n` things.
+    /// [`add_up`](Self::add_up) comes after they are written.
     pub fn next(&mut self, gpu: &Gpu, frame: usize, n: usize) -> Buffer {
         if self.frames.len() == self.pages.len() * PAGE {
             self.pages.push(Buffer::empty(&gpu.client, N * PAGE));
@@ -40,9 +44,11 @@ impl<const N: usize> Log<N> {
 
     /// The sums of the cubes become the row of the last view.
     pub fn add_up(&self, gpu: &Gpu) {
-        let (Some((parts, count)), Some(page), Some(view)) =
-            (&self.parts, self.pages.last(), self.frames.len().checked_sub(1))
-        else {
+        let (Some((parts, count)), Some(page), Some(view)) = (
+            &self.parts,
+            self.pages.last(),
+            self.frames.len().checked_sub(1),
+        ) else {
             return;
         };
         launch!(
@@ -54,19 +60,29 @@ impl<const N: usize> Log<N> {
         );
     }
 
-    /// Waits, and returns frames and rows in the order of the views. Fails with [`GpuError`] if the device failed.
-    pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Vec<(usize, [f64; N])>, GpuError> {
+    /// Waits, and returns frames and rows in the order of the views. Fails with [`GpuError`] if the
+    /// device failed.
+    pub fn take(
+        &mut self,
+        gpu: &Gpu,
+        doing: &'static str,
+    ) -> Result<Vec<(usize, [f64; N])>, GpuError> {
         let frames = std::mem::take(&mut self.frames);
         let mut values = Vec::new();
         for page in self.pages.drain(..) {
             values.extend(page.read_floats(&gpu.client, doing)?);
         }
-        let rows = values.as_chunks::<N>().0.iter().map(|row| row.map(f64::from));
+        let rows = values
+            .as_chunks::<N>()
+            .0
+            .iter()
+            .map(|row| row.map(f64::from));
         Ok(frames.into_iter().zip(rows).collect())
     }
 }
 
-/// Writes the sums of a cube of 256 units; each unit adds its own share. No unit may have returned before.
+/// Writes the sums of a cube of 256 units; each unit adds its own share. No unit may have returned
+/// before.
 #[cube]
 pub fn write_parts(share: &Array<f32>, parts: &mut [f32], #[comptime] numbers: usize) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);

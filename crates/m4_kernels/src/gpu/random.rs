@@ -1,6 +1,9 @@
 //! The random numbers of [`m4_core::CounterRng`] on the device, whose integers have 32 bits.
 
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use cubecl::prelude::*;
 
@@ -38,7 +41,10 @@ fn product(a: &Wide, high: u32, low: u32) -> Wide {
 #[cube]
 fn folded(a: &Wide, #[comptime] shift: u32) -> Wide {
     let rest = comptime!(32 - shift);
-    wide(a.high ^ (a.high >> shift), a.low ^ ((a.low >> shift) | (a.high << rest)))
+    wide(
+        a.high ^ (a.high >> shift),
+        a.low ^ ((a.low >> shift) | (a.high << rest)),
+    )
 }
 
 /// The mixing function of `SplitMix64`.
@@ -59,7 +65,10 @@ pub fn key(base: &Wide, index: u32) -> Wide {
 #[cube]
 fn word(key: &Wide, counter: u32) -> Wide {
     let zero = 0u32;
-    mix(&sum(key, &product(&wide(zero, counter), 0x9e37_79b9u32, 0x7f4a_7c15u32)))
+    mix(&sum(
+        key,
+        &product(&wide(zero, counter), 0x9e37_79b9u32, 0x7f4a_7c15u32),
+    ))
 }
 
 /// Standard normal number `k` of a stream that gives nothing else, from 0 (Box-Muller).
@@ -67,7 +76,10 @@ fn word(key: &Wide, counter: u32) -> Wide {
 pub fn normal(key: &Wide, k: u32) -> f32 {
     let (first, second) = (word(key, 2u32 * k + 1u32), word(key, 2u32 * k + 2u32));
     // one minus a uniform number of 53 bits, from its complement: small ones keep their digits
-    let (high, low) = (first.high ^ 0xffff_ffffu32, ((first.low ^ 0xffff_ffffu32) >> 11u32) + 1u32);
+    let (high, low) = (
+        first.high ^ 0xffff_ffffu32,
+        ((first.low ^ 0xffff_ffffu32) >> 11u32) + 1u32,
+    );
     let rest = f32::cast_from(high) * 2.328_306_4e-10f32 + f32::cast_from(low) * 1.110_223e-16f32;
     let radius = (-2.0f32 * rest.min(1.0f32).ln()).sqrt();
     // half a turn less, which the sign makes up for: devices are exact within one turn around 0
@@ -115,7 +127,10 @@ mod tests {
             let mut rng = CounterRng::new(seed, purpose, i as u64);
             for &number in numbers {
                 let want = rng.normal() as f32;
-                assert!((number - want).abs() < 1e-4, "stream {i}: {number} for {want}");
+                assert!(
+                    (number - want).abs() < 1e-4,
+                    "stream {i}: {number} for {want}"
+                );
             }
         }
     }

@@ -1,6 +1,9 @@
 //! Sums over cubes, and exclusive sums.
 
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::launch;
@@ -33,7 +36,8 @@ pub fn scan_cube(value: u32, shared: &mut Shared<[u32]>) -> u32 {
     scan_units(value, shared, 256u32)
 }
 
-/// Exclusive sum of one value per unit over a cube of `units`, a power of two; `shared` then has the inclusive ones.
+/// Exclusive sum of one value per unit over a cube of `units`, a power of two; `shared` then has
+/// the inclusive ones.
 #[cube]
 pub(crate) fn scan_units(value: u32, shared: &mut Shared<[u32]>, #[comptime] units: u32) -> u32 {
     let unit = UNIT_POS as usize;
@@ -118,7 +122,8 @@ fn add_totals(output: &mut [u32], totals: &[u32], n: u32) {
     }
 }
 
-/// This many numbers are one cube's work: a few rounds there are sooner done than two more launches.
+/// This many numbers are one cube's work: a few rounds there are sooner done than two more
+/// launches.
 const IN_ONE: usize = 8 * BLOCK;
 
 /// Exclusive sums of as many numbers every time.
@@ -134,8 +139,17 @@ impl Scan {
     /// Memory for `n` numbers.
     pub fn new(client: &Client, n: usize) -> Self {
         let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
-        let above = (blocks > 1).then(|| (Buffer::empty(client, blocks), Box::new(Self::new(client, blocks))));
-        Self { n, totals: Buffer::empty(client, blocks), above }
+        let above = (blocks > 1).then(|| {
+            (
+                Buffer::empty(client, blocks),
+                Box::new(Self::new(client, blocks)),
+            )
+        });
+        Self {
+            n,
+            totals: Buffer::empty(client, blocks),
+            above,
+        }
     }
 
     /// The numbers in each of its buffers.
@@ -153,20 +167,40 @@ impl Scan {
     pub fn run(&self, client: &Client, input: &Buffer, output: &Buffer) {
         let n = self.n as u32;
         if self.n <= IN_ONE {
-            launch!(client, scan_in_one::launch, (cubes(1, 1), units()), [input, output, self.totals], [n]);
+            launch!(
+                client,
+                scan_in_one::launch,
+                (cubes(1, 1), units()),
+                [input, output, self.totals],
+                [n]
+            );
             return;
         }
         let count = cubes(self.n, BLOCK);
-        launch!(client, scan_blocks::launch, (count, units()), [input, output, self.totals], [n]);
+        launch!(
+            client,
+            scan_blocks::launch,
+            (count, units()),
+            [input, output, self.totals],
+            [n]
+        );
         if let Some((offsets, above)) = &self.above {
             above.run(client, &self.totals, offsets);
-            launch!(client, add_totals::launch, (cubes(self.n, BLOCK), units()), [output, offsets], [n]);
+            launch!(
+                client,
+                add_totals::launch,
+                (cubes(self.n, BLOCK), units()),
+                [output, offsets],
+                [n]
+            );
         }
     }
 
     /// One number: the sum of everything.
     pub fn total(&self) -> &Buffer {
-        self.above.as_ref().map_or(&self.totals, |(_, above)| above.total())
+        self.above
+            .as_ref()
+            .map_or(&self.totals, |(_, above)| above.total())
     }
 }
 
@@ -197,8 +231,15 @@ mod tests {
                     sum - v
                 })
                 .collect();
-            assert!(output.read_words(client, "scanning").unwrap() == want, "{n} numbers");
-            assert_eq!(scan.total().read_words(client, "scanning").unwrap()[0], sum, "{n} numbers");
+            assert!(
+                output.read_words(client, "scanning").unwrap() == want,
+                "{n} numbers"
+            );
+            assert_eq!(
+                scan.total().read_words(client, "scanning").unwrap()[0],
+                sum,
+                "{n} numbers"
+            );
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Stable radix sort of 32-bit keys with 32-bit values, four bits a pass.
 //!
-//! Each cube counts the digits of its 1,024 keys; sums over digits first and cubes second say where its keys of each
-//! digit go. Counts of two digits share a number, sixteen bits each.
+//! Each cube counts the digits of its 1,024 keys; sums over digits first and cubes second say where
+//! its keys of each digit go. Counts of two digits share a number, sixteen bits each.
 
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::scan::{BLOCK, Scan, scan_cube};
@@ -11,7 +11,8 @@ use cubecl::prelude::*;
 /// Digits of a pass.
 const DIGITS: usize = 16;
 
-/// How many of a unit's four keys, from `first` on, have the digit `word`, and in the upper half `word + 8`.
+/// How many of a unit's four keys, from `first` on, have the digit `word`, and in the upper half
+/// `word + 8`.
 #[cube]
 fn count_digits(keys: &[u32], first: u32, n: u32, shift: u32, word: u32) -> u32 {
     let mut count = 0u32;
@@ -28,7 +29,14 @@ fn count_digits(keys: &[u32], first: u32, n: u32, shift: u32, word: u32) -> u32 
 
 /// How many of a block's keys have each digit: `[16][blocks]`.
 #[cube(launch)]
-fn histogram(keys: &[u32], count: &[u32], digits: &mut [u32], capacity: u32, blocks: u32, shift: u32) {
+fn histogram(
+    keys: &[u32],
+    count: &[u32],
+    digits: &mut [u32],
+    capacity: u32,
+    blocks: u32,
+    shift: u32,
+) {
     let mut sums = Shared::<[u32]>::new_slice(256usize);
     let block = CUBE_POS as u32;
     let n = count[0].min(capacity);
@@ -113,7 +121,10 @@ pub struct Pairs {
 impl Pairs {
     /// Room for `len` pairs.
     pub fn empty(client: &Client, len: usize) -> Self {
-        Self { keys: Buffer::empty(client, len), values: Buffer::empty(client, len) }
+        Self {
+            keys: Buffer::empty(client, len),
+            values: Buffer::empty(client, len),
+        }
     }
 }
 
@@ -138,9 +149,15 @@ impl Sort {
         out
     }
 
-    /// Sorts the first `count[0]` pairs (at most the capacity) by the lowest `bits` bits of their keys; equal keys keep
-    /// their order.
-    pub fn run<'a>(&'a self, client: &Client, pairs: &'a Pairs, count: &Buffer, bits: u32) -> &'a Pairs {
+    /// Sorts the first `count[0]` pairs (at most the capacity) by the lowest `bits` bits of their
+    /// keys; equal keys keep their order.
+    pub fn run<'a>(
+        &'a self,
+        client: &Client,
+        pairs: &'a Pairs,
+        count: &Buffer,
+        bits: u32,
+    ) -> &'a Pairs {
         let blocks = self.capacity.div_ceil(BLOCK).max(1) as u32;
         let (mut from, mut to) = (pairs, &self.other);
         for shift in (0..bits).step_by(4) {
@@ -156,7 +173,14 @@ impl Sort {
                 client,
                 scatter::launch,
                 (cubes(self.capacity, BLOCK), units()),
-                [from.keys, from.values, count, self.places, to.keys, to.values],
+                [
+                    from.keys,
+                    from.values,
+                    count,
+                    self.places,
+                    to.keys,
+                    to.values
+                ],
                 [self.capacity as u32, blocks, shift]
             );
             std::mem::swap(&mut from, &mut to);
@@ -166,7 +190,11 @@ impl Sort {
 
     /// Where [`run`](Self::run) left what it sorted.
     pub fn result<'a>(&'a self, pairs: &'a Pairs, bits: u32) -> &'a Pairs {
-        if bits.div_ceil(4).is_multiple_of(2) { pairs } else { &self.other }
+        if bits.div_ceil(4).is_multiple_of(2) {
+            pairs
+        } else {
+            &self.other
+        }
     }
 }
 
@@ -193,19 +221,36 @@ mod tests {
             (300, 900, 12, 4000.0),
         ] {
             let mut rng = CounterRng::new(capacity as u64, 0, 0);
-            let keys: Vec<u32> = (0..capacity).map(|_| (rng.uniform() * most) as u32).collect();
+            let keys: Vec<u32> = (0..capacity)
+                .map(|_| (rng.uniform() * most) as u32)
+                .collect();
             let values: Vec<u32> = (0..capacity as u32).collect();
-            let pairs = Pairs { keys: Buffer::words(client, &keys), values: Buffer::words(client, &values) };
+            let pairs = Pairs {
+                keys: Buffer::words(client, &keys),
+                values: Buffer::words(client, &values),
+            };
             let sort = Sort::new(client, capacity);
-            let sorted = sort.run(client, &pairs, &Buffer::words(client, &[count as u32]), bits);
+            let sorted = sort.run(
+                client,
+                &pairs,
+                &Buffer::words(client, &[count as u32]),
+                bits,
+            );
             let end = count.min(capacity);
-            let read = |buffer: &Buffer| buffer.read_words(client, "sorting").unwrap()[..end].to_vec();
+            let read =
+                |buffer: &Buffer| buffer.read_words(client, "sorting").unwrap()[..end].to_vec();
             let mask = ((1u64 << bits) - 1) as u32;
             let mut want = values[..end].to_vec();
             want.sort_by_key(|&i| keys[i as usize] & mask);
-            assert!(read(&sorted.values) == want, "{count} of {capacity}, {bits} bits");
+            assert!(
+                read(&sorted.values) == want,
+                "{count} of {capacity}, {bits} bits"
+            );
             let want: Vec<u32> = want.iter().map(|&i| keys[i as usize]).collect();
-            assert!(read(&sorted.keys) == want, "{count} of {capacity}, {bits} bits");
+            assert!(
+                read(&sorted.keys) == want,
+                "{count} of {capacity}, {bits} bits"
+            );
         }
     }
 }

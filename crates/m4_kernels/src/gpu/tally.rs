@@ -1,6 +1,9 @@
 //! Statistics of steps, accumulated on the device and read at once.
 
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use crate::StepStats;
 use crate::gpu::buffer::{Buffer, cubes, units};
@@ -36,16 +39,26 @@ pub struct Tally {
 impl Tally {
     /// Empty, with room for the losses of `views` views.
     pub fn new(gpu: &Gpu, views: usize) -> Self {
-        Self { buffer: Self::fresh(gpu, views) }
+        Self {
+            buffer: Self::fresh(gpu, views),
+        }
     }
 
     fn fresh(gpu: &Gpu, views: usize) -> Buffer {
         Buffer::words(&gpu.client, &vec![0; LOSSES + views])
     }
 
-    /// Adds the sums of a frame's tiles, three per tile and channel of which `values` make a mean, and keeps the loss as that
-    /// of view `view`.
-    pub fn frame(&self, gpu: &Gpu, sums: &Buffer, tiles: usize, values: usize, view: usize, lambda: f32) {
+    /// Adds the sums of a frame's tiles, three per tile and channel of which `values` make a mean,
+    /// and keeps the loss as that of view `view`.
+    pub fn frame(
+        &self,
+        gpu: &Gpu,
+        sums: &Buffer,
+        tiles: usize,
+        values: usize,
+        view: usize,
+        lambda: f32,
+    ) {
         launch!(
             &gpu.client,
             add_frame::launch,
@@ -55,8 +68,8 @@ impl Tally {
         );
     }
 
-    /// Waits, returns the statistics and the most tile entries that a frame wanted, and starts again.
-    /// Fails with [`GpuError`] if the device failed.
+    /// Waits, returns the statistics and the most tile entries that a frame wanted, and starts
+    /// again. Fails with [`GpuError`] if the device failed.
     pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<(StepStats, usize), GpuError> {
         let words = self.buffer.read_words(&gpu.client, doing)?;
         self.buffer = Self::fresh(gpu, words.len() - LOSSES);
@@ -67,9 +80,17 @@ impl Tally {
         let stats = StepStats {
             steps,
             frames,
-            l1: if words[BAD_LOSS] == 0 { mean(L1) } else { f64::NAN },
+            l1: if words[BAD_LOSS] == 0 {
+                mean(L1)
+            } else {
+                f64::NAN
+            },
             ssim: mean(SSIM),
-            psnr: if frames == 0 { f64::NAN } else { (-10.0 * float(SQUARES).log10()).min(100.0) },
+            psnr: if frames == 0 {
+                f64::NAN
+            } else {
+                (-10.0 * float(SQUARES).log10()).min(100.0)
+            },
             touched: touched as f64 / steps.max(1) as f64,
             cameras: Vec::new(),
             exposures: Vec::new(),
@@ -79,7 +100,8 @@ impl Tally {
     }
 }
 
-/// Whether a number is neither infinite nor NaN, by its bits: compilers of shaders may take it for granted.
+/// Whether a number is neither infinite nor NaN, by its bits: compilers of shaders may take it for
+/// granted.
 #[cube]
 pub fn is_finite(value: f32) -> bool {
     (u32::reinterpret(value) & 0x7f80_0000u32) != 0x7f80_0000u32
@@ -123,7 +145,8 @@ fn add_frame(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f3
     add_up(sums, tally, &mut shared, cubes, count, lambda, view);
 }
 
-/// Adds the means of a frame's SSIM and differences, and keeps its loss. By one cube of 256 units, with `shared` memory for as many.
+/// Adds the means of a frame's SSIM and differences, and keeps its loss. By one cube of 256 units,
+/// with `shared` memory for as many.
 #[cube]
 pub(crate) fn add_up(
     sums: &[f32],

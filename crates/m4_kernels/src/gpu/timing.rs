@@ -22,7 +22,9 @@ struct Running {
 
 impl std::fmt::Debug for Running {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Running").field("laps", &self.laps.len()).finish()
+        f.debug_struct("Running")
+            .field("laps", &self.laps.len())
+            .finish()
     }
 }
 
@@ -69,7 +71,11 @@ impl Stopwatch {
 
 impl Running {
     fn new(gpu: &Gpu) -> Self {
-        let mut running = Self { window: None, laps: Vec::new(), failure: None };
+        let mut running = Self {
+            window: None,
+            laps: Vec::new(),
+            failure: None,
+        };
         running.open(gpu);
         running
     }
@@ -82,7 +88,9 @@ impl Running {
     }
 
     fn lap(&mut self, gpu: &Gpu, kernel: Kernel) {
-        let Some(window) = self.window.take() else { return };
+        let Some(window) = self.window.take() else {
+            return;
+        };
         match gpu.client.profile_end(window) {
             Ok(lap) => self.laps.push((kernel, lap)),
             Err(error) => {

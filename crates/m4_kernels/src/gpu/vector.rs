@@ -1,5 +1,8 @@
 //! Vectors of three numbers, and where the numbers of a camera at an instant lie.
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use cubecl::prelude::*;
 
@@ -29,7 +32,11 @@ pub fn dot(a: &V3, b: &V3) -> f32 {
 /// `a x b`.
 #[cube]
 pub(crate) fn cross(a: &V3, b: &V3) -> V3 {
-    v3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+    v3(
+        a.y * b.z - a.z * b.y,
+        a.z * b.x - a.x * b.z,
+        a.x * b.y - a.y * b.x,
+    )
 }
 
 /// `s a`.
@@ -53,7 +60,11 @@ pub(crate) fn times(a: &V3, b: &V3) -> V3 {
 /// `rows^T v`.
 #[cube]
 pub(crate) fn transposed(r0: &V3, r1: &V3, r2: &V3, v: &V3) -> V3 {
-    v3(r0.x * v.x + r1.x * v.y + r2.x * v.z, r0.y * v.x + r1.y * v.y + r2.y * v.z, r0.z * v.x + r1.z * v.y + r2.z * v.z)
+    v3(
+        r0.x * v.x + r1.x * v.y + r2.x * v.z,
+        r0.y * v.x + r1.y * v.y + r2.y * v.z,
+        r0.z * v.x + r1.z * v.y + r2.z * v.z,
+    )
 }
 
 /// Where each number lies: the rotation from world to camera takes 0 to 8, row by row.

@@ -7,8 +7,8 @@ use fearless_simd::{Simd, f32x16, prelude::*};
 pub(super) const BLOCK: usize = LANES;
 /// Rows that are kept: from the gradient's first to the last that the moments need.
 pub(super) const RING: usize = 2 * BLOCK;
-/// Columns that are kept of what is blurred along the rows: three blocks, and one for a power of two. So
-/// they stay in the first-level cache.
+/// Columns that are kept of what is blurred along the rows: three blocks, and one for a power of
+/// two. So they stay in the first-level cache.
 pub(super) const SPAN: usize = 4 * BLOCK;
 
 /// Sixteen columns of a row, or sixteen rows of a column: a cache line.
@@ -31,7 +31,8 @@ impl Line {
 /// Some columns of a block of rows of `N` quantities, turned.
 pub(super) type Turned<const N: usize, const COLUMNS: usize> = [[Line; COLUMNS]; N];
 
-/// Memory of a segment, kept from frame to frame. The space past the ends of the rows is never written and stays 0.
+/// Memory of a segment, kept from frame to frame. The space past the ends of the rows is never
+/// written and stays 0.
 #[derive(Debug, Clone)]
 pub(super) struct Buffers {
     pub(super) width: usize,

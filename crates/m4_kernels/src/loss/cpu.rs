@@ -12,7 +12,8 @@ use fearless_simd::{Simd, f32x16, prelude::*};
 use m4_core::ShapeError;
 use rayon::prelude::*;
 
-/// Rows a task, at most: the blurs of a task look twice five rows beyond its own, so short ones cost.
+/// Rows a task, at most: the blurs of a task look twice five rows beyond its own, so short ones
+/// cost.
 const SEGMENT_ROWS: usize = 192;
 /// Rows a task of the error map.
 const ERROR_ROWS: usize = 16;
@@ -74,21 +75,37 @@ pub fn loss(
         .zip(&mut scratch.buffers)
         .with_max_len(1)
         .map(|((channel, top, out), buffers)| {
-            let segment = Segment { target, x: &rgb[channel], channel, rows: top..top + out.len() / width, factors };
+            let segment = Segment {
+                target,
+                x: &rgb[channel],
+                channel,
+                rows: top..top + out.len() / width,
+                factors,
+            };
             dispatch!(level.level(), s => segment::run(s, &segment, buffers, out))
         })
         .collect();
-    let (l1, ssim) = sums.iter().fold((0.0, 0.0), |(l1, ssim), part| (l1 + part[0], ssim + part[1]));
+    let (l1, ssim) = sums.iter().fold((0.0, 0.0), |(l1, ssim), part| {
+        (l1 + part[0], ssim + part[1])
+    });
     let (l1, ssim) = (l1 / count, ssim / count);
-    LossTerms { l1, ssim, total: (1.0 - lambda) * l1 + lambda * (1.0 - ssim) }
+    LossTerms {
+        l1,
+        ssim,
+        total: (1.0 - lambda) * l1 + lambda * (1.0 - ssim),
+    }
 }
 
-/// The mean over the channels of `|rgb - target|`, `[height][width]` (the error map: Minute4D Eq. 6).
-/// Panics if a plane of `rgb` does not hold as many values as the target.
+/// The mean over the channels of `|rgb - target|`, `[height][width]` (the error map: Minute4D Eq.
+/// 6). Panics if a plane of `rgb` does not hold as many values as the target.
 pub fn error_map(level: SimdLevel, target: &Target, rgb: &[Vec<f32>; 3], out: &mut Vec<f32>) {
     let pixels = target.width() * target.height();
     for plane in rgb {
-        assert_eq!(plane.len(), pixels, "error_map: planes of the target's size");
+        assert_eq!(
+            plane.len(),
+            pixels,
+            "error_map: planes of the target's size"
+        );
     }
     out.resize(pixels, 0.0);
     let size = ERROR_ROWS * target.width().max(1);
@@ -99,8 +116,8 @@ pub fn error_map(level: SimdLevel, target: &Target, rgb: &[Vec<f32>; 3], out: &m
 
 /// A photograph to compare with: one plane of bytes per channel, `[height][width]` each.
 ///
-/// A video is kept whole, so what a frame takes counts: three bytes per pixel. What SSIM
-/// needs of the target alone is blurred again at each comparison: one of seven blurs, and cheaper than
+/// A video is kept whole, so what a frame takes counts: three bytes per pixel. What SSIM needs of
+/// the target alone is blurred again at each comparison: one of seven blurs, and cheaper than
 /// fetching it from memory for every frame of a video.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Target {
@@ -110,18 +127,30 @@ pub struct Target {
 }
 
 impl Target {
-    /// Takes the planes of a photograph, 0..=255. Fails with [`ShapeError`] if a plane does not hold `width * height` values.
-    pub fn from_bytes(width: usize, height: usize, planes: [Vec<u8>; 3]) -> Result<Self, ShapeError> {
+    /// Takes the planes of a photograph, 0..=255. Fails with [`ShapeError`] if a plane does not
+    /// hold `width * height` values.
+    pub fn from_bytes(
+        width: usize,
+        height: usize,
+        planes: [Vec<u8>; 3],
+    ) -> Result<Self, ShapeError> {
         for plane in &planes {
             ShapeError::check("target plane", width * height, plane.len())?;
         }
-        Ok(Self { width, height, planes })
+        Ok(Self {
+            width,
+            height,
+            planes,
+        })
     }
 
-    /// Becomes a photograph, in the memory that is there: `fill` writes the planes, 0..=255, over whatever they hold.
+    /// Becomes a photograph, in the memory that is there: `fill` writes the planes, 0..=255, over
+    /// whatever they hold.
     pub fn replace(&mut self, width: usize, height: usize, fill: impl FnOnce([&mut [u8]; 3])) {
         (self.width, self.height) = (width, height);
-        self.planes.iter_mut().for_each(|plane| plane.resize(width * height, 0));
+        self.planes
+            .iter_mut()
+            .for_each(|plane| plane.resize(width * height, 0));
         fill(self.planes.each_mut().map(Vec::as_mut_slice));
     }
 
@@ -142,7 +171,9 @@ impl Target {
 
     /// The image, one plane per channel, 0..1.
     pub fn rgb(&self) -> [Vec<f32>; 3] {
-        self.planes.each_ref().map(|p| p.iter().map(|&v| f32::from(v) * BYTE).collect())
+        self.planes
+            .each_ref()
+            .map(|p| p.iter().map(|&v| f32::from(v) * BYTE).collect())
     }
 
     /// Values `from..from + out.len()` of a plane, 0..1.

@@ -1,5 +1,8 @@
 //! L1 + SSIM and its gradient: one cube per tile of 16x16 pixels and channel.
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use crate::launch;
 use crate::{
@@ -27,7 +30,8 @@ fn tap(#[comptime] k: u32) -> f32 {
     f32::new(comptime!(window()[k as usize] as f32))
 }
 
-/// Colour `channel` of pixel `at` of a frame, 0..1: planes of bytes, each of which starts with a word of its own.
+/// Colour `channel` of pixel `at` of a frame, 0..1: planes of bytes, each of which starts with a
+/// word of its own.
 #[cube]
 pub fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32) -> f32 {
     let plane = channel * ((pixels + 3u32) / 4u32);
@@ -35,10 +39,17 @@ pub fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32) -> f32 {
     f32::cast_from((four >> (8u32 * (at % 4u32))) & 255u32) * BYTE
 }
 
-/// Derivatives of SSIM with respect to the three blurs, and three sums per cube: of SSIM, of absolute differences, and of
-/// squared differences of the image cut to 0..1.
+/// Derivatives of SSIM with respect to the three blurs, and three sums per cube: of SSIM, of
+/// absolute differences, and of squared differences of the image cut to 0..1.
 #[cube(launch)]
-pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums: &mut [f32], width: u32, height: u32) {
+pub(crate) fn similarity(
+    image: &[f32],
+    target: &[u32],
+    slopes: &mut [f32],
+    sums: &mut [f32],
+    width: u32,
+    height: u32,
+) {
     let mut x = Shared::<[f32]>::new_slice(676usize);
     let mut y = Shared::<[f32]>::new_slice(676usize);
     let mut rows = Shared::<[f32]>::new_slice(2080usize);
@@ -119,7 +130,10 @@ pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums
         ssim = n1 * n2 * inverse;
         let by_square = -ssim / d2;
         let product = 2.0f32 * n1 * inverse;
-        let mean = 2.0f32 * b * n2 * inverse - 2.0f32 * a * ssim / d1 - 2.0f32 * a * by_square - b * product;
+        let mean = 2.0f32 * b * n2 * inverse
+            - 2.0f32 * a * ssim / d1
+            - 2.0f32 * a * by_square
+            - b * product;
         let at = plane + (py * width + px) as usize;
         slopes[at] = mean;
         slopes[3 * all + at] = by_square;
@@ -141,8 +155,9 @@ pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums
     }
 }
 
-/// The gradient of the loss with respect to the image; `gradient` has the planes of the backward pass. One more row of cubes than there are
-/// channels: its first adds the sums of the tiles to `tally`.
+/// The gradient of the loss with respect to the image; `gradient` has the planes of the backward
+/// pass. One more row of cubes than there are channels: its first adds the sums of the tiles to
+/// `tally`.
 #[cube(launch)]
 pub(crate) fn gradient(
     image: &[f32],
@@ -160,10 +175,28 @@ pub(crate) fn gradient(
     if CUBE_POS_Y == 3u32 {
         if CUBE_POS_X == 0u32 {
             let count = 3.0f32 * f32::cast_from(width * height);
-            add_up(sums, tally, &mut rows, 3u32 * CUBE_COUNT_X, count, lambda, 0u32);
+            add_up(
+                sums,
+                tally,
+                &mut rows,
+                3u32 * CUBE_COUNT_X,
+                count,
+                lambda,
+                0u32,
+            );
         }
     } else {
-        tile_gradient(image, target, slopes, gradient, &mut planes, &mut rows, width, height, lambda);
+        tile_gradient(
+            image,
+            target,
+            slopes,
+            gradient,
+            &mut planes,
+            &mut rows,
+            width,
+            height,
+            lambda,
+        );
     }
 }
 
@@ -284,15 +317,39 @@ impl Loss {
         }
     }
 
-    /// Compares `image` with `frame` and adds the sums to `tally`, the loss as that of view `index`. `lambda` is the share of
-    /// SSIM.
-    pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, index: usize, lambda: f32, tally: &Tally) {
+    /// Compares `image` with `frame` and adds the sums to `tally`, the loss as that of view
+    /// `index`. `lambda` is the share of SSIM.
+    pub fn compare(
+        &self,
+        gpu: &Gpu,
+        image: &Buffer,
+        frame: &Buffer,
+        index: usize,
+        lambda: f32,
+        tally: &Tally,
+    ) {
         self.similarity(gpu, image, frame);
-        tally.frame(gpu, &self.sums, self.tiles, 3 * self.width * self.height, index, lambda);
+        tally.frame(
+            gpu,
+            &self.sums,
+            self.tiles,
+            3 * self.width * self.height,
+            index,
+            lambda,
+        );
     }
 
-    /// As [`compare`](Self::compare), as view 0, and the gradient with respect to `image` into `out`.
-    pub fn differentiate(&self, gpu: &Gpu, image: &Buffer, frame: &Buffer, lambda: f32, tally: &Tally, out: &Buffer) {
+    /// As [`compare`](Self::compare), as view 0, and the gradient with respect to `image` into
+    /// `out`.
+    pub fn differentiate(
+        &self,
+        gpu: &Gpu,
+        image: &Buffer,
+        frame: &Buffer,
+        lambda: f32,
+        tally: &Tally,
+        out: &Buffer,
+    ) {
         self.similarity(gpu, image, frame);
         launch!(
             &gpu.client,

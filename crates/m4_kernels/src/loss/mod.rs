@@ -1,8 +1,10 @@
-//! The photometric loss `(1 - lambda) L1 + lambda (1 - SSIM)` and its gradient (docs/spec/optimiser.md 3).
+//! The photometric loss `(1 - lambda) L1 + lambda (1 - SSIM)` and its gradient
+//! (docs/spec/optimiser.md 3).
 //!
-//! Both terms are means over all pixels and channels. SSIM (Wang et al. 2004): a Gaussian window of [`WINDOW`] taps and
-//! [`WINDOW_SD`] pixels, applied along rows and columns, *zero padded* (images may be smaller than the window), each
-//! channel alone, dynamic range 1. The gradient of `|d|` at `d = 0` is 0.
+//! Both terms are means over all pixels and channels. SSIM (Wang et al. 2004): a Gaussian window of
+//! [`WINDOW`] taps and [`WINDOW_SD`] pixels, applied along rows and columns, *zero padded* (images
+//! may be smaller than the window), each channel alone, dynamic range 1. The gradient of `|d|` at
+//! `d = 0` is 0.
 
 mod buffers;
 pub mod cpu;

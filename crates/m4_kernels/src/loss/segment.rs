@@ -1,14 +1,15 @@
 //! Computes loss and gradient for some rows of one channel in one sweep.
 //!
-//! Sixteen rows at a time run through four stages, one block of sixteen columns after another: blur down
-//! the columns of `x`, `y`, `x^2 + y^2` and `x y`; blur along the rows, which gives the moments, then SSIM
-//! and its derivatives with respect to them; blur those along the rows; and, one block of rows later, when
-//! the rows below are there, down the columns, which gives the gradient. So nothing leaves the caches but
-//! the images and the gradient. What lies outside the image is 0 in every stage.
+//! Sixteen rows at a time run through four stages, one block of sixteen columns after another: blur
+//! down the columns of `x`, `y`, `x^2 + y^2` and `x y`; blur along the rows, which gives the
+//! moments, then SSIM and its derivatives with respect to them; blur those along the rows; and, one
+//! block of rows later, when the rows below are there, down the columns, which gives the gradient.
+//! So nothing leaves the caches but the images and the gradient. What lies outside the image is 0
+//! in every stage.
 //!
-//! Between the blurs down the columns blocks are turned: a vector is sixteen rows of one column there. So
-//! a blur along the rows is a sum of vectors too, where it would be ten shifts of each vector, and a turn
-//! takes four permutations a vector.
+//! Between the blurs down the columns blocks are turned: a vector is sixteen rows of one column
+//! there. So a blur along the rows is a sum of vectors too, where it would be ten shifts of each
+//! vector, and a turn takes four permutations a vector.
 //!
 //! The windowed means of `x^2` and `y^2` occur as a sum alone, hence seven blurs, not eight.
 
@@ -56,7 +57,8 @@ struct Frame<S: Simd> {
     width: usize,
     /// Blocks of columns.
     blocks: usize,
-    /// Lines of a row in a ring: odd, so that the rows of a block do not compete for the same lines of the cache.
+    /// Lines of a row in a ring: odd, so that the rows of a block do not compete for the same lines
+    /// of the cache.
     stride: usize,
     /// Rows are counted from the first that a block reads; the image's first row is this one.
     above: isize,
@@ -117,9 +119,15 @@ impl<S: Simd> Frame<S> {
     }
 }
 
-/// Writes the gradient of the rows, `[rows][width]`, and returns the sums of `|x - y|` and of SSIM over them.
+/// Writes the gradient of the rows, `[rows][width]`, and returns the sums of `|x - y|` and of SSIM
+/// over them.
 #[simd]
-pub(super) fn run<S: Simd>(s: S, segment: &Segment<'_>, buffers: &mut Buffers, out: &mut [f32]) -> [f64; 2] {
+pub(super) fn run<S: Simd>(
+    s: S,
+    segment: &Segment<'_>,
+    buffers: &mut Buffers,
+    out: &mut [f32],
+) -> [f64; 2] {
     let f = Frame::new(s, segment);
     buffers.fit(f.width, f.blocks, f.stride);
     let rows = segment.rows.len();
@@ -157,11 +165,18 @@ pub(super) fn run<S: Simd>(s: S, segment: &Segment<'_>, buffers: &mut Buffers, o
 
 /// Sixteen rows from images to pulls; `top` is the first that is read. Returns the sum of SSIM.
 #[inline(always)]
-fn block_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, top: usize, buffers: &mut Buffers) -> f64 {
+fn block_row<S: Simd>(
+    s: S,
+    f: &Frame<S>,
+    segment: &Segment<'_>,
+    top: usize,
+    buffers: &mut Buffers,
+) -> f64 {
     // a block of columns to the left is outside the image, and one to the right
     clear(&mut buffers.moments, SPAN / BLOCK - 1);
     clear(&mut buffers.slopes, SPAN / BLOCK - 1);
-    let row = f32x16::from_fn(s, |lane| lane as f32) + all(s, ((top + REACH) as isize - f.above) as f32);
+    let row =
+        f32x16::from_fn(s, |lane| lane as f32) + all(s, ((top + REACH) as isize - f.above) as f32);
     let inside = within(s, row, &(0..segment.target.height()));
     let counted = within(s, row, &segment.rows);
     let mut total = all(s, 0.0);
@@ -183,8 +198,8 @@ fn block_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, top: usize, buf
     f64::from(total.reduce_sum())
 }
 
-/// Reads a value of each cache line. What another kernel left or is to find comes into the near caches much
-/// faster in such bunches of independent reads than block after block.
+/// Reads a value of each cache line. What another kernel left or is to find comes into the near
+/// caches much faster in such bunches of independent reads than block after block.
 #[inline(always)]
 fn touch(values: &[f32]) {
     for value in values.iter().step_by(LANES) {
@@ -203,12 +218,17 @@ fn within<S: Simd>(s: S, row: f32x16<S>, rows: &Range<usize>) -> mask32x16<S> {
 fn read_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, row: usize, buffers: &mut Buffers) {
     let (images, targets) = buffers.images.split_at_mut(RING * f.stride);
     let at = row % RING * f.stride;
-    let (image, target) = (&mut images[at..at + f.blocks], &mut targets[at..at + f.blocks]);
+    let (image, target) = (
+        &mut images[at..at + f.blocks],
+        &mut targets[at..at + f.blocks],
+    );
     match f.row(segment, row) {
         Some(y) => {
             let from = y * f.width;
             let x = &segment.x[from..from + f.width];
-            segment.target.read(s, segment.channel, from, &mut buffers.row[..f.width]);
+            segment
+                .target
+                .read(s, segment.channel, from, &mut buffers.row[..f.width]);
             let y = &buffers.row;
             let whole = f.width / BLOCK;
             for block in 0..whole {
@@ -269,8 +289,8 @@ fn join<S: Simd>(halves: &[[f32x16<S>; HALF]; 2]) -> [f32x16<S>; BLOCK] {
     all
 }
 
-/// SSIM's derivatives for a block; returns the sum of SSIM. Of the rows, some are inside the image, and some
-/// are counted.
+/// SSIM's derivatives for a block; returns the sum of SSIM. Of the rows, some are inside the image,
+/// and some are counted.
 #[inline(always)]
 fn similarity<S: Simd>(
     s: S,
@@ -281,7 +301,8 @@ fn similarity<S: Simd>(
 ) -> f32x16<S> {
     let k = |v: f64| all(s, v as f32);
     let (two, one, zero, c1, c2) = (k(2.0), k(1.0), k(0.0), k(SSIM_C1), k(SSIM_C2));
-    // two loops, because the processor looks only a limited number of operations ahead: much of the second is waiting
+    // two loops, because the processor looks only a limited number of operations ahead: much of the
+    // second is waiting
     for (moments, blurred) in buffers.moments.iter().zip(&mut buffers.blurred) {
         for half in [0, HALF] {
             let columns = f.blur(&f.columns(s, moments, block * BLOCK + half));
@@ -294,7 +315,8 @@ fn similarity<S: Simd>(
     let at = block * BLOCK % SPAN;
     let [of_mean, of_square, of_product] = &mut buffers.slopes;
     for column in 0..BLOCK {
-        let [a, b, square, product]: [f32x16<S>; 4] = each!(4, n => buffers.blurred[n][column].get(s));
+        let [a, b, square, product]: [f32x16<S>; 4] =
+            each!(4, n => buffers.blurred[n][column].get(s));
         let (ab, aa_bb) = (a * b, a.mul_add(a, b * b));
         let n1 = two.mul_add(ab, c1);
         let n2 = two.mul_add(product - ab, c2);
@@ -308,7 +330,11 @@ fn similarity<S: Simd>(
         let d_mean = two * (b * n2 * inverse - a * (value * i1 + d_square)) - b * d_product;
         // a column past the end of the rows
         let past = block * BLOCK + column >= f.width;
-        let counts = if past { zero } else { counted.select(value, zero) };
+        let counts = if past {
+            zero
+        } else {
+            counted.select(value, zero)
+        };
         total += counts;
         let slopes: [f32x16<S>; 3] = each!(3, n => {
             let slope = [d_mean, d_square + d_square, d_product][n];
@@ -325,7 +351,8 @@ fn similarity<S: Simd>(
 #[inline(always)]
 fn pull<S: Simd>(s: S, f: &Frame<S>, top: usize, block: usize, buffers: &mut Buffers) {
     for (n, slopes) in buffers.slopes.iter().enumerate() {
-        let halves: [_; 2] = each!(2, half => f.blur(&f.columns(s, slopes, block * BLOCK + half * HALF)));
+        let halves: [_; 2] =
+            each!(2, half => f.blur(&f.columns(s, slopes, block * BLOCK + half * HALF)));
         let rows = turn(&join(&halves));
         let first = (n * RING + top % RING) * f.stride + block;
         for k in 0..BLOCK {
@@ -334,8 +361,8 @@ fn pull<S: Simd>(s: S, f: &Frame<S>, top: usize, block: usize, buffers: &mut Buf
     }
 }
 
-/// Sixteen columns of the gradient of eight rows, the first of which is row `top` of the segment; returns
-/// the sum of `|x - y|`.
+/// Sixteen columns of the gradient of eight rows, the first of which is row `top` of the segment;
+/// returns the sum of `|x - y|`.
 #[inline(always)]
 fn gradient<S: Simd>(
     s: S,
@@ -365,7 +392,9 @@ fn gradient<S: Simd>(
     let mut total = zero;
     for row in 0..HALF.min(segment.rows.len() - top) {
         let d = images[at[row]].get(s) - targets[at[row]].get(s);
-        let sign = d.simd_gt(zero).select(of_l1, d.simd_lt(zero).select(-of_l1, zero));
+        let sign = d
+            .simd_gt(zero)
+            .select(of_l1, d.simd_lt(zero).select(-of_l1, zero));
         let line = &mut out[(top + row) * f.width..][..f.width];
         store(ssim[row].mul_add(of_ssim, sign), line, block * BLOCK);
         // both are 0 past the end of a row
@@ -376,13 +405,20 @@ fn gradient<S: Simd>(
 
 /// The mean over the channels of `|rgb - target|` for pixels `from..from + out.len()`.
 #[simd]
-pub(super) fn errors<S: Simd>(s: S, target: &Target, rgb: &[Vec<f32>; 3], from: usize, out: &mut [f32]) {
+pub(super) fn errors<S: Simd>(
+    s: S,
+    target: &Target,
+    rgb: &[Vec<f32>; 3],
+    from: usize,
+    out: &mut [f32],
+) {
     let mut row = vec![0.0; out.len()];
     out.fill(0.0);
     for channel in 0..3 {
         target.read(s, channel, from, &mut row);
         for at in (0..out.len()).step_by(LANES) {
-            let d = load(s, &rgb[channel][from..from + out.len()], at, 0.0) - load(s, &row, at, 0.0);
+            let d =
+                load(s, &rgb[channel][from..from + out.len()], at, 0.0) - load(s, &row, at, 0.0);
             let sum = d.abs().mul_add(all(s, 1.0 / 3.0), load(s, out, at, 0.0));
             store(sum, out, at);
         }

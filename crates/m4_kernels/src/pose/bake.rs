@@ -11,8 +11,9 @@ use m4_core::{
 };
 use std::borrow::Cow;
 
-/// The splats at `t`, frames: what is drawn then of bound splats, as static splats behind those that there are; bound splats that are not drawn
-/// are left out. Free dynamic splats stay. Splats without bindings are returned as they are.
+/// The splats at `t`, frames: what is drawn then of bound splats, as static splats behind those
+/// that there are; bound splats that are not drawn are left out. Free dynamic splats stay. Splats
+/// without bindings are returned as they are.
 #[must_use]
 pub fn at(splats: &Splats, t: f32) -> Cow<'_, Splats> {
     if splats.bindings().is_empty() {
@@ -21,8 +22,15 @@ pub fn at(splats: &Splats, t: f32) -> Cow<'_, Splats> {
     let mut posed = Posed::default();
     posed.pose(splats, t);
     let (layout, bound) = (splats.layout(), splats.bound());
-    let rows: Vec<usize> = bound.clone().filter(|row| posed.is_drawn(row - bound.start)).collect();
-    let mut out = Splats::zeros(layout, bound.start + rows.len(), splats.n_dynamic() - bound.len());
+    let rows: Vec<usize> = bound
+        .clone()
+        .filter(|row| posed.is_drawn(row - bound.start))
+        .collect();
+    let mut out = Splats::zeros(
+        layout,
+        bound.start + rows.len(),
+        splats.n_dynamic() - bound.len(),
+    );
     for (c, (to, from)) in out.columns_mut().zip(splats.columns()).enumerate() {
         if c >= layout.shared_columns() {
             to.copy_from_slice(&from[bound.len()..]);
@@ -46,14 +54,17 @@ pub fn at(splats: &Splats, t: f32) -> Cow<'_, Splats> {
         let (of_static, rest) = to.split_at_mut(bound.start);
         let (of_bound, of_free) = rest.split_at_mut(rows.len());
         of_static.copy_from_slice(&from[..bound.start]);
-        of_bound.iter_mut().zip(&rows).for_each(|(to, &row)| *to = carried[row]);
+        of_bound
+            .iter_mut()
+            .zip(&rows)
+            .for_each(|(to, &row)| *to = carried[row]);
         of_free.copy_from_slice(&from[bound.end..]);
     }
     Cow::Owned(out)
 }
 
-/// Where bound splat `i` (row `n_static + i`) is carried to at `t`, frames, whether or not it lives then; its opacity is its own.
-/// Panics if there is no such bound splat.
+/// Where bound splat `i` (row `n_static + i`) is carried to at `t`, frames, whether or not it lives
+/// then; its opacity is its own. Panics if there is no such bound splat.
 #[must_use]
 pub fn place(splats: &Splats, i: usize, t: f64) -> Carried<f64> {
     let binding = &splats.bindings()[i];
@@ -96,7 +107,11 @@ pub fn presence(splats: &Splats, i: usize, t: f64) -> f64 {
     let [begin, end] = drawn(window).map(f64::from);
     let half = f64::from(FADE) * f64::from(window.gap());
     let share = reference::presence(t, binding.life.map(f64::from), half);
-    if (begin..=end).contains(&t) && share >= f64::from(LEAST_PRESENCE) { share } else { 0.0 }
+    if (begin..=end).contains(&t) && share >= f64::from(LEAST_PRESENCE) {
+        share
+    } else {
+        0.0
+    }
 }
 
 #[cfg(test)]
@@ -108,8 +123,17 @@ mod tests {
     use std::borrow::Cow;
 
     fn scene(isotropic: bool) -> m4_core::Scene {
-        let layout = SplatLayout { isotropic, sh_degree: 1, time_degree: 1 };
-        bound_scene(&SceneSpec { layout, n_static: 60, n_dynamic: 200, ..SceneSpec::default() })
+        let layout = SplatLayout {
+            isotropic,
+            sh_degree: 1,
+            time_degree: 1,
+        };
+        bound_scene(&SceneSpec {
+            layout,
+            n_static: 60,
+            n_dynamic: 200,
+            ..SceneSpec::default()
+        })
     }
 
     #[test]
@@ -152,12 +176,23 @@ mod tests {
                 }
                 let want = place(splats, i, f64::from(t));
                 for k in 0..3 {
-                    let (mean, rgb) = (posed.column(Column::Mean, k)[row], posed.column(Column::Colour, k)[row]);
-                    assert!((f64::from(mean) - want.mean[k]).abs() < 1e-4, "mean of {i}: {mean} and {}", want.mean[k]);
+                    let (mean, rgb) = (
+                        posed.column(Column::Mean, k)[row],
+                        posed.column(Column::Colour, k)[row],
+                    );
+                    assert!(
+                        (f64::from(mean) - want.mean[k]).abs() < 1e-4,
+                        "mean of {i}: {mean} and {}",
+                        want.mean[k]
+                    );
                     assert!((f64::from(rgb) - want.rgb[k]).abs() < 1e-5, "colour of {i}");
                 }
                 let logit = f64::from(posed.column(Column::Opacity, 0)[row]);
-                assert!(if share < 1.0 { logit < want.logit } else { (logit - want.logit).abs() < 1e-5 });
+                assert!(if share < 1.0 {
+                    logit < want.logit
+                } else {
+                    (logit - want.logit).abs() < 1e-5
+                });
                 row += 1;
             }
             assert_eq!(row, posed.n_static(), "the same splats are drawn at {t}");

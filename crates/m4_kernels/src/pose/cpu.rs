@@ -23,7 +23,8 @@ struct Motion {
 struct Carrier {
     matrix: [[f32; 3]; 3],
     quat: [f32; 4],
-    /// Derivative of the carried logit of the opacity with respect to the own one; 0 where the splat is left out.
+    /// Derivative of the carried logit of the opacity with respect to the own one; 0 where the
+    /// splat is left out.
     fade: f32,
 }
 
@@ -54,17 +55,29 @@ impl Posed {
         let (bound, windows, layout) = (splats.bound(), splats.windows(), splats.layout());
         self.t = t;
         self.motions.clear();
-        self.colour.resize_with(if bound.is_empty() { 0 } else { 3 * layout.colour_terms() }, Vec::new);
+        self.colour.resize_with(
+            if bound.is_empty() {
+                0
+            } else {
+                3 * layout.colour_terms()
+            },
+            Vec::new,
+        );
         self.carriers.resize(bound.len(), Carrier::default());
         if bound.is_empty() {
             return;
         }
-        self.motions.par_extend(windows.par_iter().map(|window| motions(window, t)));
+        self.motions
+            .par_extend(windows.par_iter().map(|window| motions(window, t)));
         for (term, column) in self.colour.iter_mut().enumerate().skip(3) {
             column.clone_from_slice_of(&splats.column(Column::Colour, term)[..bound.end]);
         }
-        let columns =
-            self.mean.iter_mut().chain(&mut self.quat).chain([&mut self.opacity]).chain(&mut self.colour[..3]);
+        let columns = self
+            .mean
+            .iter_mut()
+            .chain(&mut self.quat)
+            .chain([&mut self.opacity])
+            .chain(&mut self.colour[..3]);
         let mut columns: Vec<_> = columns
             .map(|column| {
                 column.resize(bound.end, 0.0);
@@ -77,23 +90,33 @@ impl Posed {
             tasks.push((k * ROWS, carriers, out));
         }
         let motions = &self.motions;
-        tasks.into_par_iter().for_each(|(first, carriers, mut out)| {
-            for (i, carrier) in carriers.iter_mut().enumerate() {
-                let binding = &splats.bindings()[first + i];
-                let window = binding.window as usize;
-                *carrier = Carrier::default();
-                let presence = presence(t, binding.life, FADE * windows[window].gap());
-                if presence < LEAST_PRESENCE || motions[window].is_empty() {
-                    out[7][i] = NOWHERE;
-                    continue;
+        tasks
+            .into_par_iter()
+            .for_each(|(first, carriers, mut out)| {
+                for (i, carrier) in carriers.iter_mut().enumerate() {
+                    let binding = &splats.bindings()[first + i];
+                    let window = binding.window as usize;
+                    *carrier = Carrier::default();
+                    let presence = presence(t, binding.life, FADE * windows[window].gap());
+                    if presence < LEAST_PRESENCE || motions[window].is_empty() {
+                        out[7][i] = NOWHERE;
+                        continue;
+                    }
+                    *carrier = one(
+                        splats,
+                        binding,
+                        first + i,
+                        t,
+                        presence,
+                        &motions[window],
+                        |column, v| out[column][i] = v,
+                    );
                 }
-                *carrier =
-                    one(splats, binding, first + i, t, presence, &motions[window], |column, v| out[column][i] = v);
-            }
-        });
+            });
     }
 
-    /// Turns gradients with respect to what is drawn of bound splats into those with respect to the splats and to nodes.
+    /// Turns gradients with respect to what is drawn of bound splats into those with respect to the
+    /// splats and to nodes.
     pub(crate) fn backward(&self, splats: &Splats, out: &mut Gradients) {
         out.nodes.clear();
         if splats.bound().is_empty() {
@@ -130,23 +153,31 @@ impl Posed {
         }
     }
 
-    /// The gradients of the nodes of a window, from those of what is drawn: added in the order of the rows.
+    /// The gradients of the nodes of a window, from those of what is drawn: added in the order of
+    /// the rows.
     fn nodes(&self, splats: &Splats, out: &Gradients, window: usize, key: usize) -> NodeGradients {
         let (layout, motions) = (splats.layout(), &self.motions[window]);
         let anchors = splats.windows()[window].anchors();
         let mut sums = vec![[0.0f32; 6]; anchors.len()];
         for (i, (row, binding)) in splats.bound().zip(splats.bindings()).enumerate() {
-            if out.touched[row] == 0 || self.carriers[i].fade == 0.0 || binding.window as usize != window {
+            if out.touched[row] == 0
+                || self.carriers[i].fade == 0.0
+                || binding.window as usize != window
+            {
                 continue;
             }
             let get = |column, k: usize| splats.column(column, k);
-            let g: [f32; 3] = std::array::from_fn(|k| out.columns[layout.column(Column::Mean) + k][row]);
+            let g: [f32; 3] =
+                std::array::from_fn(|k| out.columns[layout.column(Column::Mean) + k][row]);
             let dt = self.t - get(Column::TimeMean, 0)[i];
-            let own: [f32; 3] = std::array::from_fn(|k| get(Column::Mean, k)[row] + get(Column::Velocity, k)[i] * dt);
+            let own: [f32; 3] = std::array::from_fn(|k| {
+                get(Column::Mean, k)[row] + get(Column::Velocity, k)[i] * dt
+            });
             let turn = match layout.isotropic {
                 true => [0.0; 4],
                 false => {
-                    let g: [f32; 4] = std::array::from_fn(|k| out.columns[layout.column(Column::Quat) + k][row]);
+                    let g: [f32; 4] =
+                        std::array::from_fn(|k| out.columns[layout.column(Column::Quat) + k][row]);
                     let own: [f32; 4] = std::array::from_fn(|k| get(Column::Quat, k)[row]);
                     product(&g, &conjugate(&own))
                 }
@@ -156,7 +187,8 @@ impl Posed {
                 let node = usize::from(node);
                 let motion = &motions[node];
                 let from: [f32; 3] = std::array::from_fn(|k| own[k] - anchors[node][k]);
-                let arm: [f32; 3] = std::array::from_fn(|r| (0..3).map(|c| motion.matrix[r][c] * from[c]).sum());
+                let arm: [f32; 3] =
+                    std::array::from_fn(|r| (0..3).map(|c| motion.matrix[r][c] * from[c]).sum());
                 let turn = product(&turn, &conjugate(&motion.quat));
                 let half = 0.5 * side(first, motion);
                 let sum = &mut sums[node];
@@ -167,7 +199,11 @@ impl Posed {
                 }
             }
         }
-        NodeGradients { window, key, nodes: sums }
+        NodeGradients {
+            window,
+            key,
+            nodes: sums,
+        }
     }
 }
 
@@ -183,10 +219,15 @@ impl CloneFromSlice for Vec<f32> {
     }
 }
 
-/// When splats of a window are drawn, frames: a life ends half a gap beyond the last key, and a fade after it.
+/// When splats of a window are drawn, frames: a life ends half a gap beyond the last key, and a
+/// fade after it.
 pub(super) fn drawn(window: &Window) -> [f32; 2] {
     let (keys, reach) = (window.keys(), (0.5 + FADE) * 2.0 * window.gap());
-    if keys.len() > 1 { [keys[0] - reach, keys[keys.len() - 1] + reach] } else { [f32::NEG_INFINITY, f32::INFINITY] }
+    if keys.len() > 1 {
+        [keys[0] - reach, keys[keys.len() - 1] + reach]
+    } else {
+        [f32::NEG_INFINITY, f32::INFINITY]
+    }
 }
 
 /// None where no splat of the window is drawn.
@@ -198,11 +239,17 @@ fn motions(window: &Window, t: f32) -> Vec<Motion> {
     let one = |node: usize| {
         let (pose, anchor) = (window.pose(node, t), window.anchors()[node]);
         let rotation = quat::rotation(&Vector4::from(pose.rotation));
-        let matrix: [[f32; 3]; 3] = std::array::from_fn(|r| std::array::from_fn(|c| rotation[(r, c)]));
+        let matrix: [[f32; 3]; 3] =
+            std::array::from_fn(|r| std::array::from_fn(|c| rotation[(r, c)]));
         let shift = std::array::from_fn(|r| {
-            pose.position[r] - (matrix[r][0] * anchor[0] + matrix[r][1] * anchor[1] + matrix[r][2] * anchor[2])
+            pose.position[r]
+                - (matrix[r][0] * anchor[0] + matrix[r][1] * anchor[1] + matrix[r][2] * anchor[2])
         });
-        Motion { quat: pose.rotation, matrix, shift }
+        Motion {
+            quat: pose.rotation,
+            matrix,
+            shift,
+        }
     };
     (0..window.anchors().len()).map(one).collect()
 }
@@ -231,10 +278,14 @@ fn one(
         (0..4).for_each(|k| quat[k] += weight * motion.quat[k]);
     }
     let dt = t - splats.column(Column::TimeMean, 0)[i];
-    let own: [f32; 3] =
-        std::array::from_fn(|k| splats.column(Column::Mean, k)[row] + splats.column(Column::Velocity, k)[i] * dt);
+    let own: [f32; 3] = std::array::from_fn(|k| {
+        splats.column(Column::Mean, k)[row] + splats.column(Column::Velocity, k)[i] * dt
+    });
     for r in 0..3 {
-        out(r, matrix[r][0] * own[0] + matrix[r][1] * own[1] + matrix[r][2] * own[2] + shift[r]);
+        out(
+            r,
+            matrix[r][0] * own[0] + matrix[r][1] * own[1] + matrix[r][2] * own[2] + shift[r],
+        );
     }
     if !splats.layout().isotropic {
         let own: [f32; 4] = std::array::from_fn(|k| splats.column(Column::Quat, k)[row]);
@@ -244,7 +295,10 @@ fn one(
     let (logit, fade) = faded(splats.column(Column::Opacity, 0)[row], presence);
     out(7, logit);
     for k in 0..3 {
-        out(8 + k, splats.column(Column::Colour, k)[row] + splats.column(Column::Trend, k)[i] * dt);
+        out(
+            8 + k,
+            splats.column(Column::Colour, k)[row] + splats.column(Column::Trend, k)[i] * dt,
+        );
     }
     Carrier { matrix, quat, fade }
 }
@@ -262,7 +316,11 @@ fn faded(logit: f32, f: f32) -> (f32, f32) {
     if f >= 1.0 {
         return (logit, 1.0);
     }
-    let depth = f * if logit > 0.0 { logit + (-logit).exp().ln_1p() } else { logit.exp().ln_1p() };
+    let depth = f * if logit > 0.0 {
+        logit + (-logit).exp().ln_1p()
+    } else {
+        logit.exp().ln_1p()
+    };
     let opacity = (-(-depth).exp_m1()).max(f32::MIN_POSITIVE);
     (opacity.ln() + depth, f / (1.0 + (-logit).exp()) / opacity)
 }

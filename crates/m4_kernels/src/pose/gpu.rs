@@ -6,7 +6,8 @@
 //! | `forward` | poses of nodes between keys, and the splats that they carry |
 //! | `backward` | gradients of splats and nodes |
 //!
-//! What is drawn of a bound splat lies in columns of its own; the stages that follow take it from there and treat the splat as a static one.
+//! What is drawn of a bound splat lies in columns of its own; the stages that follow take it from
+//! there and treat the splat as a static one.
 
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
@@ -21,7 +22,8 @@ mod moment;
 
 const LEAST: f32 = super::LEAST_PRESENCE;
 
-/// Carries the bound splats of `splats`, which `bound` has, to `t`, frames, the instant of `eye`. Gradients of nodes at `known` keys will be added to.
+/// Carries the bound splats of `splats`, which `bound` has, to `t`, frames, the instant of `eye`.
+/// Gradients of nodes at `known` keys will be added to.
 pub(crate) fn pose(
     bound: &Bound,
     gpu: &Gpu,
@@ -57,7 +59,12 @@ pub(crate) fn pose(
                 bound.motions,
                 bound.posed
             ],
-            [splats.n as u32, splats.n_static as u32, bound.n as u32, splats.layout.isotropic]
+            [
+                splats.n as u32,
+                splats.n_static as u32,
+                bound.n as u32,
+                splats.layout.isotropic
+            ]
         );
     }
     moment
@@ -68,8 +75,8 @@ fn list(bound: &Bound) -> u32 {
     (bound.windows.len() * moment::WINDOW) as u32
 }
 
-/// Turns the gradients with respect to what was drawn of bound splats, in `out`, into those with respect to `splats`, and to the nodes at the
-/// keys of `moment`.
+/// Turns the gradients with respect to what was drawn of bound splats, in `out`, into those with
+/// respect to `splats`, and to the nodes at the keys of `moment`.
 pub(crate) fn backward(
     bound: &Bound,
     gpu: &Gpu,
@@ -87,7 +94,10 @@ pub(crate) fn backward(
         launch!(
             client,
             backward::node_sums::launch,
-            (cubes(moment.active * moment.most, 1), CubeDim::new_1d(backward::UNITS as u32)),
+            (
+                cubes(moment.active * moment.most, 1),
+                CubeDim::new_1d(backward::UNITS as u32)
+            ),
             [
                 splats.geometry,
                 splats.time,
@@ -129,6 +139,11 @@ pub(crate) fn backward(
             bound.bindings,
             bound.motions
         ],
-        [splats.n as u32, splats.n_static as u32, bound.n as u32, splats.layout.isotropic]
+        [
+            splats.n as u32,
+            splats.n_static as u32,
+            bound.n as u32,
+            splats.layout.isotropic
+        ]
     );
 }

@@ -54,7 +54,8 @@ pub struct Carried<T: Real> {
 pub struct Gradient<T: Real> {
     /// Of the splat.
     pub splat: Splat<T>,
-    /// Of each node: with respect to its position, and to a turn about it (a rotation vector in world axes, applied last).
+    /// Of each node: with respect to its position, and to a turn about it (a rotation vector in
+    /// world axes, applied last).
     pub nodes: Vec<[Vector3<T>; 2]>,
 }
 
@@ -67,7 +68,8 @@ pub fn presence<T: Real>(t: T, [begin, end]: [T; 2], half: T) -> T {
     step((t - begin) / half) * step((end - t) / half)
 }
 
-/// The splat at an instant `dt` frames after its `time_mean`, where it is there by `presence`, above 0.
+/// The splat at an instant `dt` frames after its `time_mean`, where it is there by `presence`,
+/// above 0.
 pub fn carry<T: Real>(nodes: &[Node<T>], splat: &Splat<T>, dt: T, presence: T) -> Carried<T> {
     let (a, b, q) = motion(nodes);
     Carried {
@@ -78,8 +80,15 @@ pub fn carry<T: Real>(nodes: &[Node<T>], splat: &Splat<T>, dt: T, presence: T) -
     }
 }
 
-/// The gradient of a loss with respect to splat and nodes, given that with respect to what [`carry`] gives.
-pub fn backward<T: Real>(nodes: &[Node<T>], splat: &Splat<T>, dt: T, presence: T, g: &Carried<T>) -> Gradient<T> {
+/// The gradient of a loss with respect to splat and nodes, given that with respect to what
+/// [`carry`] gives.
+pub fn backward<T: Real>(
+    nodes: &[Node<T>],
+    splat: &Splat<T>,
+    dt: T,
+    presence: T,
+    g: &Carried<T>,
+) -> Gradient<T> {
     let (a, _, q) = motion(nodes);
     let own = splat.mean + splat.velocity * dt;
     let g_own = a.transpose() * g.mean;
@@ -88,7 +97,10 @@ pub fn backward<T: Real>(nodes: &[Node<T>], splat: &Splat<T>, dt: T, presence: T
     let of_node = |node: &Node<T>| {
         let arm = rotated(node, &(own - node.anchor));
         let turn = product(&g_q, &conjugate(&(node.rotation * side(nodes, node)))) * half;
-        [g.mean * node.weight, (arm.cross(&g.mean) + Vector3::new(turn[1], turn[2], turn[3])) * node.weight]
+        [
+            g.mean * node.weight,
+            (arm.cross(&g.mean) + Vector3::new(turn[1], turn[2], turn[3])) * node.weight,
+        ]
     };
     Gradient {
         splat: Splat {
@@ -117,7 +129,11 @@ fn motion<T: Real>(nodes: &[Node<T>]) -> (Matrix3<T>, Vector3<T>, Vector4<T>) {
 
 /// 1, or -1 where a quaternion lies opposite to that of the first node.
 fn side<T: Real>(nodes: &[Node<T>], node: &Node<T>) -> T {
-    if nodes[0].rotation.dot(&node.rotation) < T::zero() { -T::one() } else { T::one() }
+    if nodes[0].rotation.dot(&node.rotation) < T::zero() {
+        -T::one()
+    } else {
+        T::one()
+    }
 }
 
 fn rotated<T: Real>(node: &Node<T>, v: &Vector3<T>) -> Vector3<T> {
@@ -131,7 +147,11 @@ fn faded<T: Real>(logit: T, f: T) -> (T, T) {
     }
     let own = T::one() / (T::one() + (-logit).exp());
     // -f ln(1 - o) without loss: o near 0 or 1
-    let depth = f * if logit > T::zero() { logit + (-logit).exp().ln_1p() } else { logit.exp().ln_1p() };
+    let depth = f * if logit > T::zero() {
+        logit + (-logit).exp().ln_1p()
+    } else {
+        logit.exp().ln_1p()
+    };
     let opacity = -(-depth).exp_m1();
     (opacity.ln() + depth, f * own / opacity)
 }
@@ -198,7 +218,8 @@ mod tests {
             .map(|(k, &weight)| {
                 let x = draw(10);
                 // one of them on the other side
-                let rotation = Vector4::new(3.0, x[7], x[8], x[9]) * if k == 2 { -1.0 } else { 1.0 };
+                let rotation =
+                    Vector4::new(3.0, x[7], x[8], x[9]) * if k == 2 { -1.0 } else { 1.0 };
                 Node {
                     anchor: Vector3::from_column_slice(&x[..3]),
                     position: Vector3::from_column_slice(&x[3..6]),
@@ -231,7 +252,11 @@ mod tests {
         .concat();
         let want = central_differences(&x, 1e-6, |x| loss(&nodes, x));
         assert_gradient("splat", &flat, &want.gradient, 1e-7);
-        let flat: Vec<f64> = got.nodes.iter().flat_map(|[p, w]| [p.as_slice(), w.as_slice()].concat()).collect();
+        let flat: Vec<f64> = got
+            .nodes
+            .iter()
+            .flat_map(|[p, w]| [p.as_slice(), w.as_slice()].concat())
+            .collect();
         let want = central_differences(&[0.0; 24], 1e-6, |d| loss(&moved(&nodes, d), &x));
         assert_gradient("nodes", &flat, &want.gradient, 1e-7);
     }
@@ -242,9 +267,13 @@ mod tests {
             let opacity = |f: f64| 1.0 / (1.0 + (-faded(logit, f).0).exp());
             for k in 0..=20 {
                 let t = 4.0 + 0.1 * f64::from(k);
-                let f = [[f64::NEG_INFINITY, 5.0], [5.0, f64::INFINITY]].map(|life| presence(t, life, 0.6));
+                let f = [[f64::NEG_INFINITY, 5.0], [5.0, f64::INFINITY]]
+                    .map(|life| presence(t, life, 0.6));
                 let [a, b] = f.map(|f| if f > 0.0 { opacity(f) } else { 0.0 });
-                assert!((a + b - a * b - opacity(1.0)).abs() < 1e-12, "{a} and {b} at {t}");
+                assert!(
+                    (a + b - a * b - opacity(1.0)).abs() < 1e-12,
+                    "{a} and {b} at {t}"
+                );
             }
         }
         assert_eq!(presence(5.0, [1.0, 9.0], 0.6), 1.0);

@@ -48,7 +48,11 @@ impl Eye {
             height: k.height,
             t: view.t as f32,
             // a period of 0 means none: the harmonics are static
-            inverse_period: if view.period > 0.0 { 1.0 / view.period } else { 0.0 },
+            inverse_period: if view.period > 0.0 {
+                1.0 / view.period
+            } else {
+                0.0
+            },
             mip: view.mip,
         }
     }
@@ -97,27 +101,42 @@ pub(crate) struct Ellipse<S: Simd> {
 
 /// Projects the shapes.
 #[inline(always)]
-pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S>, slice: &Slice<S>) -> Ellipse<S> {
+pub(crate) fn ellipse<S: Simd, const ISO: bool>(
+    s: S,
+    eye: &Eye,
+    place: &Place<S>,
+    slice: &Slice<S>,
+) -> Ellipse<S> {
     let k = |v: f32| all(s, v);
     let [x, y, z] = place.point;
     let inverse_z = k(1.0) / z;
     let ray = [x * inverse_z, y * inverse_z];
-    let slope =
-        [ray[0].max(k(eye.limits[0])).min(k(eye.limits[1])), ray[1].max(k(eye.limits[2])).min(k(eye.limits[3]))];
+    let slope = [
+        ray[0].max(k(eye.limits[0])).min(k(eye.limits[1])),
+        ray[1].max(k(eye.limits[2])).min(k(eye.limits[3])),
+    ];
     let (jx, jy) = (k(eye.fx) * inverse_z, k(eye.fy) * inverse_z);
     let w: [_; 3] = each!(3, i => all3(s, &eye.rotation[i]));
-    let jw = [each!(3, i => jx * (w[0][i] - slope[0] * w[2][i])), each!(3, i => jy * (w[1][i] - slope[1] * w[2][i]))];
+    let jw = [
+        each!(3, i => jx * (w[0][i] - slope[0] * w[2][i])),
+        each!(3, i => jy * (w[1][i] - slope[1] * w[2][i])),
+    ];
     let factor: [[f32x16<S>; 3]; 2] = if ISO {
         each!(2, r => each!(3, c => jw[r][c] * slice.scale[0]))
     } else {
-        let axis: [[f32x16<S>; 3]; 3] = each!(3, c => [slice.axes[0][c], slice.axes[1][c], slice.axes[2][c]]);
+        let axis: [[f32x16<S>; 3]; 3] =
+            each!(3, c => [slice.axes[0][c], slice.axes[1][c], slice.axes[2][c]]);
         each!(2, r => each!(3, c => dot(&jw[r], &axis[c]) * slice.scale[c]))
     };
-    let sharp = [dot(&factor[0], &factor[0]), dot(&factor[0], &factor[1]), dot(&factor[1], &factor[1])];
+    let sharp = [
+        dot(&factor[0], &factor[0]),
+        dot(&factor[0], &factor[1]),
+        dot(&factor[1], &factor[1]),
+    ];
     let low = k(LOW_PASS as f32);
     let covariance = [sharp[0] + low, sharp[1], sharp[2] + low];
-    // (a + l)(c + l) - b^2 with the small terms apart: a long thin ellipse cancels in a c - b^2, and
-    // Gram's identity gives that part as a sum of squares
+    // (a + l)(c + l) - b^2 with the small terms apart: a long thin ellipse cancels in a c - b^2,
+    // and Gram's identity gives that part as a sum of squares
     let cross = [
         factor[0][1] * factor[1][2] - factor[0][2] * factor[1][1],
         factor[0][2] * factor[1][0] - factor[0][0] * factor[1][2],
@@ -126,13 +145,21 @@ pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S
     let sharp_det = dot(&cross, &cross);
     let det = low.mul_add(sharp[0] + sharp[2] + low, sharp_det);
     let inverse = k(1.0) / det;
-    let compensation = if eye.mip { (sharp_det * inverse).sqrt() } else { k(1.0) };
+    let compensation = if eye.mip {
+        (sharp_det * inverse).sqrt()
+    } else {
+        k(1.0)
+    };
     Ellipse {
         u: (k(eye.fx) * ray[0]) + k(eye.u0),
         v: (k(eye.fy) * ray[1]) + k(eye.v0),
         covariance,
         det,
-        conic: [covariance[2] * inverse, -(covariance[1] * inverse), covariance[0] * inverse],
+        conic: [
+            covariance[2] * inverse,
+            -(covariance[1] * inverse),
+            covariance[0] * inverse,
+        ],
         compensation,
         sharp,
         sharp_det,
@@ -167,7 +194,8 @@ pub(crate) struct PlaceGradient<S: Simd> {
     pub(crate) mean: [f32x16<S>; 3],
     pub(crate) log_scale: [f32x16<S>; 3],
     pub(crate) axes: [[f32x16<S>; 3]; 3],
-    /// With respect to every entry of the Jacobian `[2][3]`, the structural zeros too: the twist turns them.
+    /// With respect to every entry of the Jacobian `[2][3]`, the structural zeros too: the twist
+    /// turns them.
     d_j: [[f32x16<S>; 3]; 2],
 }
 
@@ -180,7 +208,8 @@ pub(crate) struct LensGradient<S: Simd> {
     pub(crate) focal: [f32x16<S>; 2],
 }
 
-/// The gradient with respect to place and shape; lanes whose moments are 0 get 0 as long as their ellipse is finite.
+/// The gradient with respect to place and shape; lanes whose moments are 0 get 0 as long as their
+/// ellipse is finite.
 #[inline(always)]
 pub(crate) fn backward<S: Simd, const ISO: bool>(
     s: S,
@@ -192,12 +221,21 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
     let k = |v: f32| all(s, v);
     let (zero, half, two) = (k(0.0), k(0.5), k(2.0));
     let [a, b, c] = e.conic;
-    let centre = [-(a * m.first[0] + b * m.first[1]), -(b * m.first[0] + c * m.first[1])];
+    let centre = [
+        -(a * m.first[0] + b * m.first[1]),
+        -(b * m.first[0] + c * m.first[1]),
+    ];
     // G = A M A / 2
     let [xx, xy, yy] = m.second;
-    let p = [[a * xx + b * xy, a * xy + b * yy], [b * xx + c * xy, b * xy + c * yy]];
-    let mut g =
-        [half * (p[0][0] * a + p[0][1] * b), half * (p[0][0] * b + p[0][1] * c), half * (p[1][0] * b + p[1][1] * c)];
+    let p = [
+        [a * xx + b * xy, a * xy + b * yy],
+        [b * xx + c * xy, b * xy + c * yy],
+    ];
+    let mut g = [
+        half * (p[0][0] * a + p[0][1] * b),
+        half * (p[0][0] * b + p[0][1] * c),
+        half * (p[1][0] * b + p[1][1] * c),
+    ];
     if eye.mip {
         let det = e.sharp_det;
         let ok = det.simd_gt(k(f32::MIN_POSITIVE));
@@ -219,7 +257,8 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
         log_scale[0] = log_scale[0] + log_scale[1] + log_scale[2];
         d_jw = each!(2, r => each!(3, i => d_factor[r][i] * slice.scale[0]));
     } else {
-        let scaled: [[f32x16<S>; 3]; 2] = each!(2, r => each!(3, i => d_factor[r][i] * slice.scale[i]));
+        let scaled: [[f32x16<S>; 3]; 2] =
+            each!(2, r => each!(3, i => d_factor[r][i] * slice.scale[i]));
         d_jw = each!(2, r => each!(3, i => dot(&scaled[r], &slice.axes[i])));
         for i in 0..3 {
             for j in 0..3 {
@@ -234,7 +273,8 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
     let mut point = [
         centre[0] * jx,
         centre[1] * jy,
-        -(centre[0] * jx * ray[0] + centre[1] * jy * ray[1]) - (d_j[0][0] * jx + d_j[1][1] * jy) * iz,
+        -(centre[0] * jx * ray[0] + centre[1] * jy * ray[1])
+            - (d_j[0][0] * jx + d_j[1][1] * jy) * iz,
     ];
     for (axis, j) in [(0, jx), (1, jy)] {
         let d = d_j[axis][2] * j * iz;
@@ -282,6 +322,7 @@ pub(crate) fn lens_backward<S: Simd>(
 #[inline(always)]
 pub(crate) fn finite<S: Simd>(s: S, e: &Ellipse<S>, opacity: f32x16<S>) -> mask32x16<S> {
     // v * 0 is 0 for finite v, and NaN otherwise
-    let sum = (e.u + e.v) * all(s, 0.0) + (e.conic[0] + e.conic[1] + e.conic[2] + opacity) * all(s, 0.0);
+    let sum =
+        (e.u + e.v) * all(s, 0.0) + (e.conic[0] + e.conic[1] + e.conic[2] + opacity) * all(s, 0.0);
     sum.simd_eq(all(s, 0.0)) & e.det.simd_gt(all(s, 0.0))
 }

@@ -1,10 +1,11 @@
-//! Projects splats of one instant to ellipses on the image: what the kernels of the stage ([`crate::stage`]) do for one splat.
+//! Projects splats of one instant to ellipses on the image: what the kernels of the stage
+//! ([`crate::stage`]) do for one splat.
 
 use super::{NEAR_MIN, jacobian_limits};
 use crate::View;
 use crate::gpu::vector::{
-    BACKGROUND, CENTRE, EYE, FOCAL, INVERSE_PERIOD, LIMITS, MIDDLE, NEAR, SIZE, TIME, V3, add_scaled, cross, dot,
-    scaled, times, transposed, v3,
+    BACKGROUND, CENTRE, EYE, FOCAL, INVERSE_PERIOD, LIMITS, MIDDLE, NEAR, SIZE, TIME, V3,
+    add_scaled, cross, dot, scaled, times, transposed, v3,
 };
 use crate::slice::gpu::Shape;
 use cubecl::prelude::*;
@@ -31,7 +32,10 @@ pub(crate) fn eye(view: &View) -> [f32; EYE] {
     put(TIME, &[view.t]);
     // a period of 0 means none: the harmonics are static
     let period = f64::from(view.period);
-    put(INVERSE_PERIOD, &[if period > 0.0 { 1.0 / period } else { 0.0 }]);
+    put(
+        INVERSE_PERIOD,
+        &[if period > 0.0 { 1.0 / period } else { 0.0 }],
+    );
     put(NEAR, &[f64::from(view.near).max(NEAR_MIN)]);
     put(SIZE, &[k.width as f64, k.height as f64]);
     put(BACKGROUND, &view.background.map(f64::from));
@@ -70,7 +74,11 @@ pub(crate) fn row(eye: &[f32], #[comptime] i: usize) -> V3 {
 #[cube]
 pub(crate) fn offset_of(eye: &[f32], mean: &V3) -> V3 {
     // from the camera's centre first: rounding must not grow with the distance from the origin
-    v3(mean.x - eye[CENTRE], mean.y - eye[CENTRE + 1], mean.z - eye[CENTRE + 2])
+    v3(
+        mean.x - eye[CENTRE],
+        mean.y - eye[CENTRE + 1],
+        mean.z - eye[CENTRE + 2],
+    )
 }
 
 #[cube]

@@ -10,11 +10,12 @@
 //! opacity = sigmoid(logit) p(t) compensation
 //! ```
 //!
-//! The limits of the clamp ([`jacobian_limits`]) count as constants: no gradient flows through them.
-//! A splat is left out when any of its centre, conic or opacity is not a finite number, or its
-//! opacity is under [`crate::ellipse::ALPHA_MIN`]: it cannot reach a pixel.
+//! The limits of the clamp ([`jacobian_limits`]) count as constants: no gradient flows through
+//! them. A splat is left out when any of its centre, conic or opacity is not a finite number, or
+//! its opacity is under [`crate::ellipse::ALPHA_MIN`]: it cannot reach a pixel.
 //!
-//! The camera's gradient is that of a left twist, `W <- exp([omega]) W`, `T <- exp([omega]) T + tau`.
+//! The camera's gradient is that of a left twist, `W <- exp([omega]) W`,
+//! `T <- exp([omega]) T + tau`.
 
 use m4_core::Intrinsics;
 
@@ -23,7 +24,8 @@ pub(crate) mod cpu;
 pub(crate) mod gpu;
 pub mod reference;
 
-/// The smallest near plane, world units: a splat at depth 0 or behind has no image, whatever the view says.
+/// The smallest near plane, world units: a splat at depth 0 or behind has no image, whatever the
+/// view says.
 pub const NEAR_MIN: f64 = 1e-6;
 
 /// Added to both diagonal entries of the image covariance, pixels squared (3DGS; a Gaussian of half
@@ -33,7 +35,8 @@ pub const LOW_PASS: f64 = 0.3;
 /// The Jacobian is evaluated within this multiple of the half field of view (3DGS).
 pub const JACOBIAN_CLAMP: f64 = 1.3;
 
-/// Range of `x / z` and `y / z` within which the Jacobian is evaluated: `[x_min, x_max, y_min, y_max]`.
+/// Range of `x / z` and `y / z` within which the Jacobian is evaluated:
+/// `[x_min, x_max, y_min, y_max]`.
 ///
 /// Each side reaches past its own image edge by `JACOBIAN_CLAMP - 1` times the half field of view's
 /// tangent, so a centred principal point gives `JACOBIAN_CLAMP * tan(half field of view)` on every
@@ -41,6 +44,14 @@ pub const JACOBIAN_CLAMP: f64 = 1.3;
 pub fn jacobian_limits(k: &Intrinsics) -> [f64; 4] {
     let (width, height) = (k.width as f64, k.height as f64);
     let margin = JACOBIAN_CLAMP - 1.0;
-    let (x, y) = (margin * width / (2.0 * k.fx), margin * height / (2.0 * k.fy));
-    [-k.cx / k.fx - x, (width - k.cx) / k.fx + x, -k.cy / k.fy - y, (height - k.cy) / k.fy + y]
+    let (x, y) = (
+        margin * width / (2.0 * k.fx),
+        margin * height / (2.0 * k.fy),
+    );
+    [
+        -k.cx / k.fx - x,
+        (width - k.cx) / k.fx + x,
+        -k.cy / k.fy - y,
+        (height - k.cy) / k.fy + y,
+    ]
 }

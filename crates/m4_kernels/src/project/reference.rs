@@ -23,7 +23,10 @@ impl<T: Real> Pinhole<T> {
     pub fn new(camera: &Camera) -> Self {
         let (w2c, k) = (camera.w2c(), &camera.intrinsics);
         Self {
-            w2c: Se3 { rotation: w2c.rotation.map(T::of), translation: w2c.translation.map(T::of) },
+            w2c: Se3 {
+                rotation: w2c.rotation.map(T::of),
+                translation: w2c.translation.map(T::of),
+            },
             intrinsics: Vector4::new(k.fx, k.fy, k.cx, k.cy).map(T::of),
             limits: jacobian_limits(k).map(T::of),
         }
@@ -73,7 +76,11 @@ pub struct PinholeGradient<T: Real> {
 impl<T: Real> PinholeGradient<T> {
     /// No change.
     pub fn zero() -> Self {
-        Self { tau: Vector3::zeros(), omega: Vector3::zeros(), intrinsics: Vector4::zeros() }
+        Self {
+            tau: Vector3::zeros(),
+            omega: Vector3::zeros(),
+            intrinsics: Vector4::zeros(),
+        }
     }
 
     /// Adds the share of one more splat.
@@ -112,7 +119,12 @@ fn inverse<T: Real>(m: &Matrix2<T>) -> Matrix2<T> {
     Matrix2::new(m[(1, 1)], -m[(0, 1)], -m[(1, 0)], m[(0, 0)]) / det
 }
 
-fn footprint<T: Real>(mean: &Vector3<T>, covariance: &Matrix3<T>, camera: &Pinhole<T>, mip: bool) -> Footprint<T> {
+fn footprint<T: Real>(
+    mean: &Vector3<T>,
+    covariance: &Matrix3<T>,
+    camera: &Pinhole<T>,
+    mip: bool,
+) -> Footprint<T> {
     let (fx, fy) = (camera.intrinsics[0], camera.intrinsics[1]);
     let point = camera.w2c.transform(mean);
     let z = point.z;
@@ -130,7 +142,14 @@ fn footprint<T: Real>(mean: &Vector3<T>, covariance: &Matrix3<T>, camera: &Pinho
     };
     let slope = Vector2::new(clamp(ray.x, x_min, x_max), clamp(ray.y, y_min, y_max));
     let zero = T::zero();
-    let jacobian = Matrix2x3::new(fx / z, zero, -fx * slope.x / z, zero, fy / z, -fy * slope.y / z);
+    let jacobian = Matrix2x3::new(
+        fx / z,
+        zero,
+        -fx * slope.x / z,
+        zero,
+        fy / z,
+        -fy * slope.y / z,
+    );
     let w = &camera.w2c.rotation;
     let camera_covariance = w * covariance * w.transpose();
     let sharp = jacobian * camera_covariance * jacobian.transpose();
@@ -197,7 +216,10 @@ pub fn project_vjp<T: Real>(
     let mut d_point = Vector3::new(
         g.centre.x * fx / z,
         g.centre.y * fy / z,
-        g.depth - (g.centre.x * fx * x + g.centre.y * fy * y) / zz - d_j[(0, 0)] * fx / zz - d_j[(1, 1)] * fy / zz,
+        g.depth
+            - (g.centre.x * fx * x + g.centre.y * fy * y) / zz
+            - d_j[(0, 0)] * fx / zz
+            - d_j[(1, 1)] * fy / zz,
     );
     for (axis, focal) in [(0, fx), (1, fy)] {
         let d = d_j[(axis, 2)] * focal / zz;
@@ -211,7 +233,11 @@ pub fn project_vjp<T: Real>(
 
     let w = &camera.w2c.rotation;
     let k = d_camera_covariance * f.camera_covariance * two;
-    let axial = Vector3::new(k[(2, 1)] - k[(1, 2)], k[(0, 2)] - k[(2, 0)], k[(1, 0)] - k[(0, 1)]);
+    let axial = Vector3::new(
+        k[(2, 1)] - k[(1, 2)],
+        k[(0, 2)] - k[(2, 0)],
+        k[(1, 0)] - k[(0, 1)],
+    );
     ProjectGradient {
         mean: w.transpose() * d_point,
         covariance: w.transpose() * d_camera_covariance * w,

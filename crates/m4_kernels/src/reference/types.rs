@@ -94,12 +94,19 @@ impl<T: Real> Splat<T> {
             Geometry::Gaussian(g) => Geometry::Gaussian(Gaussian {
                 mean: Vector3::zeros(),
                 shape: match g.shape {
-                    Shape::Isotropic { .. } => Shape::Isotropic { log_scale: T::zero() },
-                    Shape::Anisotropic { .. } => {
-                        Shape::Anisotropic { log_scale: Vector3::zeros(), quat: Vector4::zeros() }
-                    }
+                    Shape::Isotropic { .. } => Shape::Isotropic {
+                        log_scale: T::zero(),
+                    },
+                    Shape::Anisotropic { .. } => Shape::Anisotropic {
+                        log_scale: Vector3::zeros(),
+                        quat: Vector4::zeros(),
+                    },
                 },
-                life: g.life.map(|_| Life { time_mean: T::zero(), log_time_sd: T::zero(), velocity: Vector3::zeros() }),
+                life: g.life.map(|_| Life {
+                    time_mean: T::zero(),
+                    log_time_sd: T::zero(),
+                    velocity: Vector3::zeros(),
+                }),
             }),
             Geometry::Rotor(_) => Geometry::Rotor(RotorGaussian {
                 mean: Vector3::zeros(),
@@ -117,8 +124,8 @@ impl<T: Real> Splat<T> {
         }
     }
 
-    /// Every parameter in the order of [`Splats::columns`]; the time columns only of dynamic splats.
-    /// Empty for the rotor form, which has no columns.
+    /// Every parameter in the order of [`Splats::columns`]; the time columns only of dynamic
+    /// splats. Empty for the rotor form, which has no columns.
     pub fn parameters(&self) -> Vec<T> {
         let Geometry::Gaussian(g) = &self.geometry else {
             return Vec::new();
@@ -126,7 +133,9 @@ impl<T: Real> Splat<T> {
         let mut out: Vec<T> = g.mean.iter().copied().collect();
         match &g.shape {
             Shape::Isotropic { log_scale } => out.push(*log_scale),
-            Shape::Anisotropic { log_scale, quat } => out.extend(log_scale.iter().chain(quat.iter())),
+            Shape::Anisotropic { log_scale, quat } => {
+                out.extend(log_scale.iter().chain(quat.iter()))
+            }
         }
         out.push(self.opacity);
         out.extend(self.coefficients.iter().flatten());
@@ -144,7 +153,11 @@ impl<T: Real> SceneGradient<T> {
         let mut columns = vec![Vec::new(); layout.columns()];
         for (row, splat) in self.splats.iter().enumerate() {
             let values = splat.parameters();
-            let used = if row < n_static { layout.shared_columns() } else { columns.len() };
+            let used = if row < n_static {
+                layout.shared_columns()
+            } else {
+                columns.len()
+            };
             for (column, value) in columns.iter_mut().zip(values).take(used) {
                 column.push(value);
             }
@@ -156,13 +169,17 @@ impl<T: Real> SceneGradient<T> {
 /// The rows of `splats`, one by one.
 pub fn splats_of<T: Real>(splats: &Splats) -> Vec<Splat<T>> {
     let layout = splats.layout();
-    let at = |column: Column, offset: usize, row: usize| T::of(f64::from(splats.column(column, offset)[row]));
+    let at = |column: Column, offset: usize, row: usize| {
+        T::of(f64::from(splats.column(column, offset)[row]))
+    };
     let vector = |column, row| Vector3::from_fn(|k, _| at(column, k, row));
     let one = |row: usize| Splat {
         geometry: Geometry::Gaussian(Gaussian {
             mean: vector(Column::Mean, row),
             shape: if layout.isotropic {
-                Shape::Isotropic { log_scale: at(Column::LogScale, 0, row) }
+                Shape::Isotropic {
+                    log_scale: at(Column::LogScale, 0, row),
+                }
             } else {
                 Shape::Anisotropic {
                     log_scale: vector(Column::LogScale, row),

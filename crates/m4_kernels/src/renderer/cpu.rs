@@ -55,8 +55,9 @@ struct BandWork {
 
 /// Draws splats and takes the gradient of what it drew; keeps its memory from frame to frame.
 ///
-/// Work is cut into fixed chunks of rows and fixed bands of the image, whose results are joined in order: same splats,
-/// view and level, same bits, on any number of threads. It runs on rayon's current pool.
+/// Work is cut into fixed chunks of rows and fixed bands of the image, whose results are joined in
+/// order: same splats, view and level, same bits, on any number of threads. It runs on rayon's
+/// current pool.
 #[derive(Debug)]
 pub struct Renderer {
     level: SimdLevel,
@@ -104,25 +105,39 @@ impl Renderer {
         for plane in frame.rgb.iter_mut().chain([&mut frame.transmittance]) {
             plane.resize(pixels, 0.0);
         }
-        frame.depth.resize(if view.with_depth { pixels } else { 0 }, 0.0);
-        let bands = if width == 0 { 0 } else { height.div_ceil(BAND_ROWS) };
+        frame
+            .depth
+            .resize(if view.with_depth { pixels } else { 0 }, 0.0);
+        let bands = if width == 0 {
+            0
+        } else {
+            height.div_ceil(BAND_ROWS)
+        };
         self.bands.resize_with(bands, BandWork::default);
         Chunk::plan(&mut self.chunks, splats, bands);
         self.posed.pose(splats, view.t as f32);
 
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
         let (posed, bound) = (Columns::posed(splats, &self.posed), splats.bound());
-        self.rows.resize(self.chunks.iter().map(Chunk::room).sum(), Row::default());
+        self.rows
+            .resize(self.chunks.iter().map(Chunk::room).sum(), Row::default());
         let mut rest = self.rows.as_mut_slice();
         let mut tasks: Vec<(&mut Chunk, &mut [Row])> = Vec::with_capacity(self.chunks.len());
         for chunk in &mut self.chunks {
             let rows = rest.split_off_mut(..chunk.room()).unwrap_or_default();
             tasks.push((chunk, rows));
         }
-        tasks.par_iter_mut().with_max_len(1).for_each(|(chunk, rows)| {
-            let columns = if bound.contains(&chunk.rows.start) { &posed } else { &columns };
-            dispatch!(level, s => chunk.forward(s, columns, eye, rows));
-        });
+        tasks
+            .par_iter_mut()
+            .with_max_len(1)
+            .for_each(|(chunk, rows)| {
+                let columns = if bound.contains(&chunk.rows.start) {
+                    &posed
+                } else {
+                    &columns
+                };
+                dispatch!(level, s => chunk.forward(s, columns, eye, rows));
+            });
         let projected = Instant::now();
         self.draw();
 
@@ -144,7 +159,12 @@ impl Renderer {
         }
         let (level, background, eye) = (self.level.level(), self.background, &self.eye);
         let size = BAND_ROWS * eye.width;
-        let Frame { rgb: [red, green, blue], transmittance, depth, .. } = &mut self.frame;
+        let Frame {
+            rgb: [red, green, blue],
+            transmittance,
+            depth,
+            ..
+        } = &mut self.frame;
         // without depth the bands get empty slices
         let depth_bands: Vec<&mut [f32]> = depth.chunks_mut(size).collect();
         let mut depth_bands = depth_bands.into_iter();
@@ -181,10 +201,16 @@ impl Renderer {
         &self.frame
     }
 
-    /// The gradient of a loss with respect to splats and camera, given that with respect to the colours of the frame drawn last
-    /// (same layout as [`Frame::rgb`]).
-    /// Panics if `splats` are not as many as those drawn, or a plane of `gradient` has another size than the frame.
-    pub fn backward(&mut self, splats: &Splats, gradient: &[Vec<f32>; 3], with_camera: bool, out: &mut Gradients) {
+    /// The gradient of a loss with respect to splats and camera, given that with respect to the
+    /// colours of the frame drawn last (same layout as [`Frame::rgb`]). Panics if `splats` are not
+    /// as many as those drawn, or a plane of `gradient` has another size than the frame.
+    pub fn backward(
+        &mut self,
+        splats: &Splats,
+        gradient: &[Vec<f32>; 3],
+        with_camera: bool,
+        out: &mut Gradients,
+    ) {
         let start = Instant::now();
         self.check(splats.n());
         out.resize(splats);
@@ -202,10 +228,19 @@ impl Renderer {
 
     /// Sums of every band.
     fn blend_backward(&mut self, gradient: &[Vec<f32>; 3]) {
-        let (level, eye, frame, rows) = (self.level.level(), &self.eye, &self.frame, self.rows.as_slice());
+        let (level, eye, frame, rows) = (
+            self.level.level(),
+            &self.eye,
+            &self.frame,
+            self.rows.as_slice(),
+        );
         let pixels = frame.transmittance.len();
         for plane in gradient {
-            assert_eq!(plane.len(), pixels, "backward: the gradient has the frame's size");
+            assert_eq!(
+                plane.len(),
+                pixels,
+                "backward: the gradient has the frame's size"
+            );
         }
         let tasks = self.bands.iter_mut().enumerate();
         let tasks = tasks.map(|(index, work)| (work.band.lists.len(), (index, work)));
@@ -219,11 +254,13 @@ impl Renderer {
                 d_rgb: gradient.each_ref().map(|plane| &plane[part.clone()]),
             };
             let (band, used, sums) = (&work.band, &work.used, &mut work.sums);
-            work.background = dispatch!(level, s => blend::backward(s, band, rows, place, used, &g, sums));
+            work.background =
+                dispatch!(level, s => blend::backward(s, band, rows, place, used, &g, sums));
         });
     }
 
-    /// Gradients of the columns, chunk by chunk; that of the camera added in the order of the chunks.
+    /// Gradients of the columns, chunk by chunk; that of the camera added in the order of the
+    /// chunks.
     fn project_backward(&self, splats: &Splats, with_camera: bool, out: &mut Gradients) {
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
         let (posed, bound) = (Columns::posed(splats, &self.posed), splats.bound());
@@ -236,9 +273,16 @@ impl Renderer {
             .enumerate()
             .with_max_len(1)
             .map(|(index, (chunk, part))| {
-                let mut sums: Vec<&[Sums]> =
-                    self.bands.iter().map(|work| &work.sums[work.band.chunk_start[index]..]).collect();
-                let columns = if bound.contains(&chunk.rows.start) { &posed } else { &columns };
+                let mut sums: Vec<&[Sums]> = self
+                    .bands
+                    .iter()
+                    .map(|work| &work.sums[work.band.chunk_start[index]..])
+                    .collect();
+                let columns = if bound.contains(&chunk.rows.start) {
+                    &posed
+                } else {
+                    &columns
+                };
                 dispatch!(level, s => chunk.backward(s, columns, eye, &mut sums, with_camera, part))
             })
             .collect();
@@ -260,23 +304,34 @@ impl Renderer {
     /// Adds to `out[i]` the sum of `weight` over the pixels that splat `i` was composited on, times
     /// its temporal marginal ([`crate::score`]); of the frame drawn last.
     ///
-    /// `weight` is `[height][width]`, `out` is `[n]`. Panics if `weight` or `out` has another length than that.
+    /// `weight` is `[height][width]`, `out` is `[n]`. Panics if `weight` or `out` has another
+    /// length than that.
     pub fn score(&mut self, weight: &[f32], out: &mut [f32]) {
         self.check(out.len());
-        assert_eq!(weight.len(), self.frame.transmittance.len(), "score: one weight a pixel");
+        assert_eq!(
+            weight.len(),
+            self.frame.transmittance.len(),
+            "score: one weight a pixel"
+        );
         let (level, eye, rows) = (self.level.level(), &self.eye, self.rows.as_slice());
-        self.bands.par_iter_mut().enumerate().with_max_len(1).for_each(|(index, work)| {
-            let place = place(eye, index);
-            let weight = &weight[place.top * place.width..][..place.rows * place.width];
-            let (band, used, scores) = (&work.band, &work.used, &mut work.scores);
-            dispatch!(level, s => blend::score(s, band, rows, place, used, weight, scores));
-        });
+        self.bands
+            .par_iter_mut()
+            .enumerate()
+            .with_max_len(1)
+            .for_each(|(index, work)| {
+                let place = place(eye, index);
+                let weight = &weight[place.top * place.width..][..place.rows * place.width];
+                let (band, used, scores) = (&work.band, &work.used, &mut work.scores);
+                dispatch!(level, s => blend::score(s, band, rows, place, used, weight, scores));
+            });
         let (bands, mut rest) = (&self.bands, out);
         for (index, chunk) in self.chunks.iter().enumerate() {
             let (rows, after) = rest.split_at_mut(chunk.rows.len());
             rest = after;
-            let mut scores: Vec<&[f32]> =
-                bands.iter().map(|work| &work.scores[work.band.chunk_start[index]..]).collect();
+            let mut scores: Vec<&[f32]> = bands
+                .iter()
+                .map(|work| &work.scores[work.band.chunk_start[index]..])
+                .collect();
             chunk.score(&mut scores, rows);
         }
     }
@@ -294,21 +349,31 @@ impl Renderer {
 
     fn check(&self, n: usize) {
         let drawn = self.chunks.last().map_or(0, |c| c.rows.end);
-        assert_eq!(n, drawn, "the renderer drew {drawn} splats last; draw these first");
+        assert_eq!(
+            n, drawn,
+            "the renderer drew {drawn} splats last; draw these first"
+        );
     }
 }
 
-/// Runs tasks on the threads of the pool, those of the greatest cost first: then no thread is left with
-/// a long one at the end. The order has no effect on what they compute.
+/// Runs tasks on the threads of the pool, those of the greatest cost first: then no thread is left
+/// with a long one at the end. The order has no effect on what they compute.
 fn heaviest_first<T: Send>(mut tasks: Vec<(usize, T)>, run: impl Fn(T) + Send + Sync) {
     tasks.sort_by_key(|&(cost, _)| std::cmp::Reverse(cost));
-    tasks.into_iter().par_bridge().for_each(|(_, task)| run(task));
+    tasks
+        .into_iter()
+        .par_bridge()
+        .for_each(|(_, task)| run(task));
 }
 
 /// Where band `index` lies.
 fn place(eye: &Eye, index: usize) -> BandPlace {
     let top = index * BAND_ROWS;
-    BandPlace { top, rows: (eye.height - top).min(BAND_ROWS), width: eye.width }
+    BandPlace {
+        top,
+        rows: (eye.height - top).min(BAND_ROWS),
+        width: eye.width,
+    }
 }
 
 /// Cuts the gradients into the rows of each chunk.
@@ -326,7 +391,11 @@ fn split<'a>(chunks: &[Chunk], n_static: usize, out: &'a mut Gradients) -> Vec<C
             .iter_mut()
             .zip(&shared)
             .map(|(column, &shared)| {
-                let take = if shared || chunk.rows.start >= n_static { len } else { 0 };
+                let take = if shared || chunk.rows.start >= n_static {
+                    len
+                } else {
+                    0
+                };
                 column.split_off_mut(..take).unwrap_or_default()
             })
             .collect();

@@ -5,14 +5,15 @@
 //! adam <- pose backward <- project backward <- blend backward <- gradient of the loss
 //! ```
 //!
-//! Splats, moments, frames and everything between stay on the device while it trains; a step uploads a camera, and what says
-//! where windows are in time, and reads nothing back. There are no floating-point atomics: every tile entry has a slot of its own for its sums, and each
-//! splat adds its slots up in order, so that the same seed gives the same bits on the same device. How many entries
-//! there are is known on the device alone: buffers are sized by capacity, and a peak that is read now and then says
-//! when they must grow.
+//! Splats, moments, frames and everything between stay on the device while it trains; a step
+//! uploads a camera, and what says where windows are in time, and reads nothing back. There are no
+//! floating-point atomics: every tile entry has a slot of its own for its sums, and each splat adds
+//! its slots up in order, so that the same seed gives the same bits on the same device. How many
+//! entries there are is known on the device alone: buffers are sized by capacity, and a peak that
+//! is read now and then says when they must grow.
 //!
-//! [`Renderer`] draws one view and its gradient and reads them back: for images, and for the tests that compare with
-//! the CPU.
+//! [`Renderer`] draws one view and its gradient and reads them back: for images, and for the tests
+//! that compare with the CPU.
 
 mod size;
 mod work;
@@ -36,9 +37,14 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Copies `splats` to the device. Fails with [`GpuError::TooLarge`] if they do not fit into its buffers.
+    /// Copies `splats` to the device. Fails with [`GpuError::TooLarge`] if they do not fit into its
+    /// buffers.
     pub fn new(gpu: Gpu, splats: &Splats) -> Result<Self, GpuError> {
-        Ok(Self { splats: DeviceSplats::upload(&gpu, splats)?, gpu, work: None })
+        Ok(Self {
+            splats: DeviceSplats::upload(&gpu, splats)?,
+            gpu,
+            work: None,
+        })
     }
 
     /// The image of `view`. Fails with [`GpuError`] if it does not fit or the device fails.
@@ -47,28 +53,43 @@ impl Renderer {
         let k = &view.camera.intrinsics;
         let pixels = k.width * k.height;
         let work = self.work.as_ref().ok_or_else(nothing_drawn)?;
-        let image = work.image.read_floats(&self.gpu.client, "drawing an image")?;
+        let image = work
+            .image
+            .read_floats(&self.gpu.client, "drawing an image")?;
         let plane = |k: usize| image[k * pixels..(k + 1) * pixels].to_vec();
         Ok(Frame {
             width: k.width,
             height: k.height,
             rgb: [plane(0), plane(1), plane(2)],
             transmittance: plane(3),
-            depth: if view.with_depth { plane(4) } else { Vec::new() },
+            depth: if view.with_depth {
+                plane(4)
+            } else {
+                Vec::new()
+            },
         })
     }
 
-    /// The gradient of a loss with respect to the splats, given that with respect to the colours of the image of `view`; that of the
-    /// camera and of the background are left 0. Fails as [`render`](Self::render). Panics if the planes of the gradient
-    /// are not as long as the image.
-    pub fn backward(&mut self, view: &View, gradient: &[Vec<f32>; 3], out: &mut Gradients) -> Result<(), GpuError> {
+    /// The gradient of a loss with respect to the splats, given that with respect to the colours of
+    /// the image of `view`; that of the camera and of the background are left 0. Fails as
+    /// [`render`](Self::render). Panics if the planes of the gradient are not as long as the image.
+    pub fn backward(
+        &mut self,
+        view: &View,
+        gradient: &[Vec<f32>; 3],
+        out: &mut Gradients,
+    ) -> Result<(), GpuError> {
         if let Some(work) = &mut self.work {
             work.node_keys.clear();
         }
         self.draw(view, true)?;
         let pixels = view.camera.intrinsics.width * view.camera.intrinsics.height;
         let planes = gradient.concat();
-        assert_eq!(planes.len(), 3 * pixels, "backward: the gradient has the image's size");
+        assert_eq!(
+            planes.len(),
+            3 * pixels,
+            "backward: the gradient has the image's size"
+        );
         let doing = "computing a gradient";
         let mut result = self.splats.like(&self.gpu);
         // free splats have no trend
@@ -79,7 +100,9 @@ impl Renderer {
         let touched = work.touched.read_words(&self.gpu.client, doing)?;
         let columns = result.download(&self.gpu, doing)?;
         let nodes = match &self.splats.bound {
-            Some(bound) if bound.n > 0 => bound.node_gradients(&self.gpu, &work.node_keys, doing)?,
+            Some(bound) if bound.n > 0 => {
+                bound.node_gradients(&self.gpu, &work.node_keys, doing)?
+            }
             _ => Vec::new(),
         };
         debug_assert_eq!(parts(self.splats.layout)[2].end, columns.columns().len());
@@ -96,7 +119,13 @@ impl Renderer {
     fn draw(&mut self, view: &View, training: bool) -> Result<(), GpuError> {
         let k = &view.camera.intrinsics;
         let n = self.splats.n;
-        let mut size = Size { n, width: k.width, height: k.height, entries: Size::first_entries(n), training };
+        let mut size = Size {
+            n,
+            width: k.width,
+            height: k.height,
+            entries: Size::first_entries(n),
+            training,
+        };
         if let Some(work) = &self.work {
             size.entries = work.size.entries;
         }
@@ -117,5 +146,8 @@ impl Renderer {
 }
 
 fn nothing_drawn() -> GpuError {
-    GpuError::Failed { doing: "drawing an image", why: "nothing was drawn".to_owned() }
+    GpuError::Failed {
+        doing: "drawing an image",
+        why: "nothing was drawn".to_owned(),
+    }
 }

@@ -1,4 +1,5 @@
-//! Draws splats, and takes the gradient of what was drawn: the kernels of a frame one after the other.
+//! Draws splats, and takes the gradient of what was drawn: the kernels of a frame one after the
+//! other.
 
 mod cpu;
 #[cfg(feature = "gpu")]

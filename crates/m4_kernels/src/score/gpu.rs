@@ -1,5 +1,6 @@
-//! The scores of one frame (Minute4D Eq. 9, Minute4D Eq. 10): sums of the errors over the pixels that each splat is blended on (a slot per tile
-//! and splat, as in the backward pass), times the temporal marginal of the splat at that instant, which is 1 for static and bound splats.
+//! The scores of one frame (Minute4D Eq. 9, Minute4D Eq. 10): sums of the errors over the pixels
+//! that each splat is blended on (a slot per tile and splat, as in the backward pass), times the
+//! temporal marginal of the splat at that instant, which is 1 for static and bound splats.
 
 use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
@@ -28,7 +29,8 @@ pub struct FrameScore<'a> {
     pub share: f32,
 }
 
-/// Adds the scores of the frame that `work` drew last to `scores`, `[2][n]`: errors times `share`, errors times loss.
+/// Adds the scores of the frame that `work` drew last to `scores`, `[2][n]`: errors times `share`,
+/// errors times loss.
 pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>, scores: &Buffer) {
     let (client, n) = (&gpu.client, splats.n);
     let (count, dim) = work.cubes_of_buckets();
@@ -77,7 +79,8 @@ pub fn add(gpu: &Gpu, work: &Work, splats: &DeviceSplats, frame: &FrameScore<'_>
     );
 }
 
-/// The errors that count (Minute4D Eq. 8), summed over the pixels of a tile that a splat is blended on: a cube a bucket, a unit an entry.
+/// The errors that count (Minute4D Eq. 8), summed over the pixels of a tile that a splat is blended
+/// on: a cube a bucket, a unit an entry.
 #[cube(launch)]
 fn score_slots(
     records: &[f32],
@@ -169,7 +172,9 @@ fn score_splats(
                 sum += sums[(offsets[i as usize] + k) as usize];
             }
             let carried = carried(i, n_static, n_still);
-            let life = life(geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], bound);
+            let life = life(
+                geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], bound,
+            );
             let score = sum * life.marginal;
             let loss = f32::reinterpret(tally[loss_at as usize]);
             scores[i as usize] += score * share;

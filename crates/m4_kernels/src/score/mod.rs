@@ -7,8 +7,8 @@
 //! ```
 //!
 //! *Composited* is what [`crate::blend`] says: `alpha >= ALPHA_MIN` and the pixel not finished. A
-//! splat that reaches no pixel scores 0. Sums over frames and their factors (`1 / K`, the frame's loss)
-//! are the caller's: a twin adds a frame's score to what is there.
+//! splat that reaches no pixel scores 0. Sums over frames and their factors (`1 / K`, the frame's
+//! loss) are the caller's: a twin adds a frame's score to what is there.
 
 #[cfg(feature = "gpu")]
 pub mod gpu;

@@ -62,7 +62,12 @@ fn harmonics<S: Simd>(s: S, d: &[f32x16<S>; 3], terms: usize, out: &mut [f32x16<
 
 /// `sum_l pull[l] grad Y_l(d)`, harmonics as polynomials.
 #[inline(always)]
-fn harmonics_backward<S: Simd>(s: S, d: &[f32x16<S>; 3], terms: usize, pull: &[f32x16<S>; 16]) -> [f32x16<S>; 3] {
+fn harmonics_backward<S: Simd>(
+    s: S,
+    d: &[f32x16<S>; 3],
+    terms: usize,
+    pull: &[f32x16<S>; 16],
+) -> [f32x16<S>; 3] {
     let k = |v: f64| all(s, v as f32);
     let [x, y, z] = *d;
     let mut g = [k(0.0); 3];
@@ -112,7 +117,13 @@ fn temporal<S: Simd>(s: S, turns: f32x16<S>, degree: usize) -> ([f32x16<S>; 3], 
 
 /// The sums before the cut at 0.
 #[inline(always)]
-fn raw<S: Simd>(s: S, c: &Columns<'_>, row: usize, basis: &[f32x16<S>; 16], cos: &[f32x16<S>; 3]) -> [f32x16<S>; 3] {
+fn raw<S: Simd>(
+    s: S,
+    c: &Columns<'_>,
+    row: usize,
+    basis: &[f32x16<S>; 16],
+    cos: &[f32x16<S>; 3],
+) -> [f32x16<S>; 3] {
     let terms = c.layout.sh_terms();
     let mut sum = [all(s, 0.5); 3];
     for n in 0..=c.layout.time_degree {
@@ -129,7 +140,12 @@ fn raw<S: Simd>(s: S, c: &Columns<'_>, row: usize, basis: &[f32x16<S>; 16], cos:
 
 /// Red, green and blue, at least 0 (Minute4D Eq. 2).
 #[inline(always)]
-pub(crate) fn shade<S: Simd>(s: S, c: &Columns<'_>, row: usize, sight: &Sight<S>) -> [f32x16<S>; 3] {
+pub(crate) fn shade<S: Simd>(
+    s: S,
+    c: &Columns<'_>,
+    row: usize,
+    sight: &Sight<S>,
+) -> [f32x16<S>; 3] {
     let zero = all(s, 0.0);
     let mut basis = [zero; 16];
     harmonics(s, &sight.direction, c.layout.sh_terms(), &mut basis);
@@ -138,8 +154,8 @@ pub(crate) fn shade<S: Simd>(s: S, c: &Columns<'_>, row: usize, sight: &Sight<S>
     each!(3, k => sum[k].simd_gt(zero).select(sum[k], zero))
 }
 
-/// Writes the gradient of the coefficients to the columns of a chunk and returns what geometry gets,
-/// given the gradient `g` with respect to the colours.
+/// Writes the gradient of the coefficients to the columns of a chunk and returns what geometry
+/// gets, given the gradient `g` with respect to the colours.
 #[inline(always)]
 pub(crate) fn backward<S: Simd>(
     s: S,

@@ -59,11 +59,35 @@ fn harmonic_slope(#[comptime] l: u32, d: &V3) -> V3 {
         8u32 => scaled(&v3(2.0f32 * x, -2.0f32 * y, 0.0f32), Y_XX_YY),
         9u32 => scaled(&v3(6.0f32 * x * y, 3.0f32 * (x * x - y * y), 0.0f32), Y_XXX),
         10u32 => scaled(&v3(y * z, x * z, x * y), Y_XYZ),
-        11u32 => scaled(&v3(-2.0f32 * x * y, 4.0f32 * z * z - x * x - 3.0f32 * y * y, 8.0f32 * y * z), Y_ZZY),
-        12u32 => scaled(&v3(-6.0f32 * x * z, -6.0f32 * y * z, 6.0f32 * z * z - 3.0f32 * (x * x + y * y)), Y_ZZZ),
-        13u32 => scaled(&v3(4.0f32 * z * z - 3.0f32 * x * x - y * y, -2.0f32 * x * y, 8.0f32 * x * z), Y_ZZY),
+        11u32 => scaled(
+            &v3(
+                -2.0f32 * x * y,
+                4.0f32 * z * z - x * x - 3.0f32 * y * y,
+                8.0f32 * y * z,
+            ),
+            Y_ZZY,
+        ),
+        12u32 => scaled(
+            &v3(
+                -6.0f32 * x * z,
+                -6.0f32 * y * z,
+                6.0f32 * z * z - 3.0f32 * (x * x + y * y),
+            ),
+            Y_ZZZ,
+        ),
+        13u32 => scaled(
+            &v3(
+                4.0f32 * z * z - 3.0f32 * x * x - y * y,
+                -2.0f32 * x * y,
+                8.0f32 * x * z,
+            ),
+            Y_ZZY,
+        ),
         14u32 => scaled(&v3(2.0f32 * x * z, -2.0f32 * y * z, x * x - y * y), Y_ZXX),
-        _ => scaled(&v3(3.0f32 * (x * x - y * y), -6.0f32 * x * y, 0.0f32), Y_XXX),
+        _ => scaled(
+            &v3(3.0f32 * (x * x - y * y), -6.0f32 * x * y, 0.0f32),
+            Y_XXX,
+        ),
     }
 }
 
@@ -139,7 +163,9 @@ pub(crate) fn shade_backward(
     #[comptime] time_terms: u32,
     #[comptime] bound: bool,
 ) -> SightGradient {
-    let value = raw_colour(colour, posed, carried, at, rows, direction, turns, sh_terms, time_terms, bound);
+    let value = raw_colour(
+        colour, posed, carried, at, rows, direction, turns, sh_terms, time_terms, bound,
+    );
     let mut lr = 0.0f32;
     let mut lg = 0.0f32;
     let mut lb = 0.0f32;
@@ -174,8 +200,9 @@ pub(crate) fn shade_backward(
             out[(k + 1) * rows + at] = w * lg;
             out[(k + 2) * rows + at] = w * lb;
             if comptime!(l > 0 || term > 0) {
-                let along =
-                    lr * colour[k * rows + at] + lg * colour[(k + 1) * rows + at] + lb * colour[(k + 2) * rows + at];
+                let along = lr * colour[k * rows + at]
+                    + lg * colour[(k + 1) * rows + at]
+                    + lb * colour[(k + 2) * rows + at];
                 let slope = harmonic_slope(l, direction);
                 px += cos * along * slope.x;
                 py += cos * along * slope.y;
@@ -186,5 +213,8 @@ pub(crate) fn shade_backward(
     }
     let d = v3(px, py, pz);
     let along = dot(direction, &d);
-    SightGradient { offset: scaled(&add_scaled(&d, -along, direction), inverse_distance), time_mean }
+    SightGradient {
+        offset: scaled(&add_scaled(&d, -along, direction), inverse_distance),
+        time_mean,
+    }
 }

@@ -1,14 +1,16 @@
-//! The colour of a splat seen from a camera at an instant: 4D spherindrical harmonics (docs/spec/optimiser.md 1.8).
+//! The colour of a splat seen from a camera at an instant: 4D spherindrical harmonics
+//! (docs/spec/optimiser.md 1.8).
 //!
 //! ```text
 //! colour = max(0, 1/2 + sum_n sum_l K[n, l] cos(2 pi n dt / period) Y_l(direction))
 //! direction = (m(t) - centre) / |m(t) - centre|,  dt = t - time_mean
 //! ```
 //!
-//! `m(t)` is the *shifted* mean, forward and backward. Coefficients come three channels at a time, temporal index
-//! major: `K[n * sh_terms + l][channel]`, `n <= 2`, `l < (degree + 1)^2`, `degree <= 3`. The order and signs of `Y` are
-//! those of the 3DGS family ([`C0`], [`C1`], [`C2`], [`C3`]). Static splats have `dt = 0`: every cosine is 1. Where the
-//! sum is not above 0 the colour is 0 and has no gradient.
+//! `m(t)` is the *shifted* mean, forward and backward. Coefficients come three channels at a time,
+//! temporal index major: `K[n * sh_terms + l][channel]`, `n <= 2`, `l < (degree + 1)^2`,
+//! `degree <= 3`. The order and signs of `Y` are those of the 3DGS family ([`C0`], [`C1`], [`C2`],
+//! [`C3`]). Static splats have `dt = 0`: every cosine is 1. Where the sum is not above 0 the colour
+//! is 0 and has no gradient.
 
 pub(crate) mod cpu;
 #[cfg(feature = "gpu")]

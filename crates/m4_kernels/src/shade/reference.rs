@@ -34,7 +34,14 @@ pub struct ShadeGradient<T: Real> {
 pub fn harmonics<T: Real>(d: &Vector3<T>) -> ([T; MAX_TERMS], [Vector3<T>; MAX_TERMS]) {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    let (zero, two, three, four, six, eight) = (T::zero(), T::of(2.0), T::of(3.0), T::of(4.0), T::of(6.0), T::of(8.0));
+    let (zero, two, three, four, six, eight) = (
+        T::zero(),
+        T::of(2.0),
+        T::of(3.0),
+        T::of(4.0),
+        T::of(6.0),
+        T::of(8.0),
+    );
     let c1 = T::of(C1);
     let c2 = C2.map(T::of);
     let c3 = C3.map(T::of);
@@ -69,7 +76,11 @@ pub fn harmonics<T: Real>(d: &Vector3<T>) -> ([T; MAX_TERMS], [Vector3<T>; MAX_T
         Vector3::new(six * x * y, three * xx - three * yy, zero) * c3[0],
         Vector3::new(y * z, x * z, x * y) * c3[1],
         Vector3::new(-two * x * y, four * zz - xx - three * yy, eight * y * z) * c3[2],
-        Vector3::new(-six * x * z, -six * y * z, six * zz - three * xx - three * yy) * c3[3],
+        Vector3::new(
+            -six * x * z,
+            -six * y * z,
+            six * zz - three * xx - three * yy,
+        ) * c3[3],
         Vector3::new(four * zz - three * xx - yy, -two * x * y, eight * x * z) * c3[4],
         Vector3::new(two * x * z, -two * y * z, xx - yy) * c3[5],
         Vector3::new(three * xx - three * yy, -six * x * y, zero) * c3[6],
@@ -96,15 +107,27 @@ fn raw<T: Real>(coefficients: &[[T; 3]], sight: &Sight<T>) -> [T; 3] {
     sum
 }
 
-/// Red, green and blue, at least 0 (Minute4D Eq. 2). `coefficients` hold a multiple of [`Sight::sh_terms`] rows.
+/// Red, green and blue, at least 0 (Minute4D Eq. 2). `coefficients` hold a multiple of
+/// [`Sight::sh_terms`] rows.
 pub fn shade<T: Real>(coefficients: &[[T; 3]], sight: &Sight<T>) -> [T; 3] {
     raw(coefficients, sight).map(|c| if c > T::zero() { c } else { T::zero() })
 }
 
-/// Gradient with respect to coefficients, offset and `time_mean`, given that with respect to [`shade()`].
-pub fn shade_vjp<T: Real>(coefficients: &[[T; 3]], sight: &Sight<T>, g: &[T; 3]) -> ShadeGradient<T> {
+/// Gradient with respect to coefficients, offset and `time_mean`, given that with respect to
+/// [`shade()`].
+pub fn shade_vjp<T: Real>(
+    coefficients: &[[T; 3]],
+    sight: &Sight<T>,
+    g: &[T; 3],
+) -> ShadeGradient<T> {
     let value = raw(coefficients, sight);
-    let live: [T; 3] = std::array::from_fn(|c| if value[c] > T::zero() { g[c] } else { T::zero() });
+    let live: [T; 3] = std::array::from_fn(|c| {
+        if value[c] > T::zero() {
+            g[c]
+        } else {
+            T::zero()
+        }
+    });
     let distance = sight.offset.norm();
     let direction = sight.offset / distance;
     let (basis, slopes) = harmonics(&direction);

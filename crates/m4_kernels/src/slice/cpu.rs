@@ -48,7 +48,13 @@ impl<'a> Columns<'a> {
             n_static: splats.n_static(),
             mean: [0, 1, 2].map(|k| get(Column::Mean, k)),
             log_scale: [0, 1, 2].map(|k| get(Column::LogScale, k.min(scales - 1))),
-            quat: [0, 1, 2, 3].map(|k| if layout.isotropic { &[] } else { get(Column::Quat, k) }),
+            quat: [0, 1, 2, 3].map(|k| {
+                if layout.isotropic {
+                    &[]
+                } else {
+                    get(Column::Quat, k)
+                }
+            }),
             opacity: get(Column::Opacity, 0),
             colour: &splats.columns()[layout.range(Column::Colour)],
             time_mean: get(Column::TimeMean, 0),
@@ -64,7 +70,11 @@ impl Columns<'_> {
     pub(crate) fn fetch<const DYNAMIC: bool>(&self, row: usize) {
         touch(self.opacity, row);
         let shape = if self.layout.isotropic { 1 } else { 3 };
-        let geometry = self.mean.iter().chain(&self.log_scale[..shape]).chain(&self.quat);
+        let geometry = self
+            .mean
+            .iter()
+            .chain(&self.log_scale[..shape])
+            .chain(&self.quat);
         geometry.for_each(|column| touch(column, row));
         self.colour.iter().for_each(|column| touch(column, row));
         if DYNAMIC {
@@ -96,15 +106,18 @@ pub(crate) struct Slice<S: Simd> {
     pub(crate) alive: mask32x16<S>,
 }
 
-/// Whether one of sixteen dynamic splats may be there at `t`, from the two columns that decide it and with
-/// one power: most splats of a long video are not, and eight bytes of them are all that is read.
+/// Whether one of sixteen dynamic splats may be there at `t`, from the two columns that decide it
+/// and with one power: most splats of a long video are not, and eight bytes of them are all that is
+/// read.
 #[inline(always)]
 pub(crate) fn any_alive<S: Simd>(s: S, c: &Columns<'_>, row: usize, t: f32) -> bool {
     let at = row - c.n_static;
     let dt = all(s, t) - load(s, c.time_mean, at, 0.0);
     let log_sd = load(s, c.log_time_sd, at, 0.0);
     // p > MARGINAL_MIN means dt^2 < -2 ln(MARGINAL_MIN) sd^2; the rest of 6 covers the rounding
-    (dt * dt).simd_le(all(s, 6.0) * exp(s, log_sd + log_sd)).any_true()
+    (dt * dt)
+        .simd_le(all(s, 6.0) * exp(s, log_sd + log_sd))
+        .any_true()
 }
 
 /// The place in time of sixteen dynamic splats.
@@ -120,12 +133,22 @@ fn marginal<S: Simd>(s: S, c: &Columns<'_>, at: usize, t: f32) -> Moment<S> {
     let dt = all(s, t) - load(s, c.time_mean, at, 0.0);
     let log_sd = load(s, c.log_time_sd, at, 0.0);
     let inverse_variance = exp(s, log_sd * all(s, -2.0));
-    Moment { dt, inverse_variance, marginal: exp(s, dt * dt * inverse_variance * all(s, -0.5)) }
+    Moment {
+        dt,
+        inverse_variance,
+        marginal: exp(s, dt * dt * inverse_variance * all(s, -0.5)),
+    }
 }
 
-/// Moves to the instant: mean, marginal (Minute4D Eq. 1). Cheap, so that most dynamic splats go no further.
+/// Moves to the instant: mean, marginal (Minute4D Eq. 1). Cheap, so that most dynamic splats go no
+/// further.
 #[inline(always)]
-pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usize, t: f32) -> Slice<S> {
+pub(crate) fn life<S: Simd, const DYNAMIC: bool>(
+    s: S,
+    c: &Columns<'_>,
+    row: usize,
+    t: f32,
+) -> Slice<S> {
     let zero = all(s, 0.0);
     let mean = each!(3, k => load(s, c.mean[k], row, 0.0));
     let mut out = Slice {
@@ -141,7 +164,11 @@ pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usi
     };
     if DYNAMIC {
         let at = row - c.n_static;
-        let Moment { dt, inverse_variance, marginal } = marginal(s, c, at, t);
+        let Moment {
+            dt,
+            inverse_variance,
+            marginal,
+        } = marginal(s, c, at, t);
         for k in 0..3 {
             let velocity = load(s, c.velocity[k], at, 0.0);
             out.mean[k] = velocity.mul_add(dt, out.mean[k]);
@@ -156,7 +183,12 @@ pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usi
 
 /// Size and orientation.
 #[inline(always)]
-pub(crate) fn shape<S: Simd, const ISO: bool>(s: S, c: &Columns<'_>, row: usize, out: &mut Slice<S>) {
+pub(crate) fn shape<S: Simd, const ISO: bool>(
+    s: S,
+    c: &Columns<'_>,
+    row: usize,
+    out: &mut Slice<S>,
+) {
     if ISO {
         out.scale = [exp(s, load(s, c.log_scale[0], row, 0.0)); 3];
         return;
@@ -172,8 +204,11 @@ pub(crate) fn shape<S: Simd, const ISO: bool>(s: S, c: &Columns<'_>, row: usize,
     let (xx, yy, zz) = (sx * x, sy * y, sz * z);
     let (xy, xz, yz) = (sx * y, sx * z, sy * z);
     let (wx, wy, wz) = (sx * w, sy * w, sz * w);
-    out.axes =
-        [[one - (yy + zz), xy - wz, xz + wy], [xy + wz, one - (xx + zz), yz - wx], [xz - wy, yz + wx, one - (xx + yy)]];
+    out.axes = [
+        [one - (yy + zz), xy - wz, xz + wy],
+        [xy + wz, one - (xx + zz), yz - wx],
+        [xz - wy, yz + wx, one - (xx + yy)],
+    ];
     out.quat = q;
     out.quat_scale = scale;
 }
@@ -230,8 +265,8 @@ pub(crate) fn backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     }
 }
 
-/// As [`m4_core::quat::rotation_vjp`], with `R = I + scale B(q)`, `scale = 2 / |q|^2`: the derivative of
-/// the products less the part along `q`, which the scale takes off.
+/// As [`m4_core::quat::rotation_vjp`], with `R = I + scale B(q)`, `scale = 2 / |q|^2`: the
+/// derivative of the products less the part along `q`, which the scale takes off.
 #[inline(always)]
 fn quat_backward<S: Simd>(s: S, slice: &Slice<S>, g: &[[f32x16<S>; 3]; 3]) -> [f32x16<S>; 4] {
     let [w, x, y, z] = slice.quat;

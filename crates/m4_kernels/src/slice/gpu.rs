@@ -1,6 +1,9 @@
 //! A 4D splat at one instant, forward and backward.
 
-#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+#![expect(
+    missing_docs,
+    reason = "`cube` generates items beside those that it is written at"
+)]
 
 use crate::gpu::vector::{V3, v3};
 use cubecl::prelude::*;
@@ -47,7 +50,11 @@ pub(crate) struct Carried {
 /// Whether splat `i` is bound: rows from `n_static` to `n_still`.
 #[cube]
 pub(crate) fn carried(i: u32, n_static: u32, n_still: u32) -> Carried {
-    Carried { on: i >= n_static && i < n_still, at: (i - n_static) as usize, rows: (n_still - n_static) as usize }
+    Carried {
+        on: i >= n_static && i < n_still,
+        at: (i - n_static) as usize,
+        rows: (n_still - n_static) as usize,
+    }
 }
 
 /// A column of what is drawn of a bound splat.
@@ -95,13 +102,26 @@ pub(crate) fn life(
         y += time[3 * dynamic + j] * dt;
         z += time[4 * dynamic + j] * dt;
     }
-    Life { mean: v3(x, y, z), dt, inverse_variance, marginal }
+    Life {
+        mean: v3(x, y, z),
+        dt,
+        inverse_variance,
+        marginal,
+    }
 }
 
 /// Scales and axes of splat `i`, as it is stored.
 #[cube]
 pub fn shape(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> Shape {
-    drawn_shape(geometry, geometry, &carried(i, 0u32, 0u32), i, n, isotropic, false)
+    drawn_shape(
+        geometry,
+        geometry,
+        &carried(i, 0u32, 0u32),
+        i,
+        n,
+        isotropic,
+        false,
+    )
 }
 
 /// Scales and axes of splat `i`, as it is drawn.
@@ -129,7 +149,11 @@ pub(crate) fn drawn_shape(
             k: f32::new(2.0f32),
         }
     } else {
-        let scale = v3(geometry[3 * rows + at].exp(), geometry[4 * rows + at].exp(), geometry[5 * rows + at].exp());
+        let scale = v3(
+            geometry[3 * rows + at].exp(),
+            geometry[4 * rows + at].exp(),
+            geometry[5 * rows + at].exp(),
+        );
         let mut w = geometry[6 * rows + at];
         let mut x = geometry[7 * rows + at];
         let mut y = geometry[8 * rows + at];
@@ -145,9 +169,21 @@ pub(crate) fn drawn_shape(
         let k = 2.0f32 / (w * w + x * x + y * y + z * z);
         Shape {
             scale,
-            r0: v3(1.0f32 - k * (y * y + z * z), k * (x * y - w * z), k * (x * z + w * y)),
-            r1: v3(k * (x * y + w * z), 1.0f32 - k * (x * x + z * z), k * (y * z - w * x)),
-            r2: v3(k * (x * z - w * y), k * (y * z + w * x), 1.0f32 - k * (x * x + y * y)),
+            r0: v3(
+                1.0f32 - k * (y * y + z * z),
+                k * (x * y - w * z),
+                k * (x * z + w * y),
+            ),
+            r1: v3(
+                k * (x * y + w * z),
+                1.0f32 - k * (x * x + z * z),
+                k * (y * z - w * x),
+            ),
+            r2: v3(
+                k * (x * z - w * y),
+                k * (y * z + w * x),
+                1.0f32 - k * (x * x + y * y),
+            ),
             w,
             q: v3(x, y, z),
             k,
@@ -157,7 +193,15 @@ pub(crate) fn drawn_shape(
 
 /// Writes the gradient of the quaternion, given that of the rotation's rows.
 #[cube]
-pub(crate) fn quat_backward(s: &Shape, g0: &V3, g1: &V3, g2: &V3, out: &mut [f32], at: usize, rows: usize) {
+pub(crate) fn quat_backward(
+    s: &Shape,
+    g0: &V3,
+    g1: &V3,
+    g2: &V3,
+    out: &mut [f32],
+    at: usize,
+    rows: usize,
+) {
     let (w, x, y, z) = (s.w, s.q.x, s.q.y, s.q.z);
     let (xy, xz, yz) = (g0.y + g1.x, g0.z + g2.x, g1.z + g2.y);
     let (wx, wy, wz) = (g2.y - g1.z, g0.z - g2.x, g1.x - g0.y);

@@ -1,6 +1,7 @@
 //! Slices a 4D splat at one instant.
 //!
-//! Specification: docs/spec/optimiser.md 1.3 to 1.5. With `dt = t - time_mean` in frames and `w = exp(2 log_time_sd)`:
+//! Specification: docs/spec/optimiser.md 1.3 to 1.5. With `dt = t - time_mean` in frames and
+//! `w = exp(2 log_time_sd)`:
 //!
 //! ```text
 //! m(t) = mean + velocity dt        world units
@@ -14,8 +15,8 @@
 //! The gradient of a symmetric matrix is symmetric everywhere in this crate: `dL = <G, dS>`, so a
 //! scalar that sits at both `(0, 1)` and `(1, 0)` receives `2 G_01`.
 //!
-//! [`mod@reference`] also slices the rotor-pair form (docs/spec/optimiser.md 1.2), which has no twin: it is there to
-//! prove that the velocity form is the same model.
+//! [`mod@reference`] also slices the rotor-pair form (docs/spec/optimiser.md 1.2), which has no
+//! twin: it is there to prove that the velocity form is the same model.
 
 pub(crate) mod cpu;
 #[cfg(feature = "gpu")]

@@ -1,7 +1,8 @@
 //! The definition of slicing, forward and backward.
 //!
-//! Three models (docs/spec/optimiser.md 1.2 to 1.5): the velocity form with three scales and a quaternion, the
-//! same with one scale, and the rotor pair. A gradient has the type of what it is the gradient of.
+//! Three models (docs/spec/optimiser.md 1.2 to 1.5): the velocity form with three scales and a
+//! quaternion, the same with one scale, and the rotor pair. A gradient has the type of what it is
+//! the gradient of.
 
 use m4_core::{
     Real,
@@ -81,7 +82,9 @@ fn scaled_axes<T: Real>(log_scale: &Vector3<T>, quat: &Vector4<T>) -> Matrix3<T>
 /// The 3D splat at time `t`, frames: mean, covariance and marginal with peak 1 (Minute4D Eq. 1).
 pub fn slice<T: Real>(splat: &Gaussian<T>, t: T) -> Sliced<T> {
     let covariance = match &splat.shape {
-        Shape::Isotropic { log_scale } => Matrix3::from_diagonal_element((T::of(2.0) * *log_scale).exp()),
+        Shape::Isotropic { log_scale } => {
+            Matrix3::from_diagonal_element((T::of(2.0) * *log_scale).exp())
+        }
         Shape::Anisotropic { log_scale, quat } => {
             let axes = scaled_axes(log_scale, quat);
             axes * axes.transpose()
@@ -92,19 +95,26 @@ pub fn slice<T: Real>(splat: &Gaussian<T>, t: T) -> Sliced<T> {
         Some(life) => {
             let dt = t - life.time_mean;
             let variance = (T::of(2.0) * life.log_time_sd).exp();
-            (splat.mean + life.velocity * dt, (T::of(-0.5) * dt * dt / variance).exp())
+            (
+                splat.mean + life.velocity * dt,
+                (T::of(-0.5) * dt * dt / variance).exp(),
+            )
         }
     };
-    Sliced { mean, covariance, marginal }
+    Sliced {
+        mean,
+        covariance,
+        marginal,
+    }
 }
 
 /// Gradient with respect to the splat, given that with respect to [`slice()`] of it.
 pub fn slice_vjp<T: Real>(splat: &Gaussian<T>, t: T, g: &Sliced<T>) -> Gaussian<T> {
     let two = T::of(2.0);
     let shape = match &splat.shape {
-        Shape::Isotropic { log_scale } => {
-            Shape::Isotropic { log_scale: two * (two * *log_scale).exp() * g.covariance.trace() }
-        }
+        Shape::Isotropic { log_scale } => Shape::Isotropic {
+            log_scale: two * (two * *log_scale).exp() * g.covariance.trace(),
+        },
         Shape::Anisotropic { log_scale, quat } => {
             let axes = scaled_axes(log_scale, quat);
             let d_axes = g.covariance * axes * two;
@@ -125,10 +135,15 @@ pub fn slice_vjp<T: Real>(splat: &Gaussian<T>, t: T, g: &Sliced<T>) -> Gaussian<
             velocity: g.mean * dt,
         }
     });
-    Gaussian { mean: g.mean, shape, life }
+    Gaussian {
+        mean: g.mean,
+        shape,
+        life,
+    }
 }
 
-/// The 4x4 covariance of a rotor-pair splat and its factor `R diag(s)`, storage order `(x, y, z, t)`.
+/// The 4x4 covariance of a rotor-pair splat and its factor `R diag(s)`, storage order
+/// `(x, y, z, t)`.
 fn rotor_covariance<T: Real>(splat: &RotorGaussian<T>) -> (Matrix4<T>, Matrix4<T>) {
     let scale = Matrix4::from_diagonal(&splat.log_scale.map(|s| s.exp()));
     let axes = rotor::rotation(&splat.left, &splat.right) * scale;
@@ -137,7 +152,11 @@ fn rotor_covariance<T: Real>(splat: &RotorGaussian<T>) -> (Matrix4<T>, Matrix4<T
 
 /// Blocks `U` (3x3), `u` (3) and `w` of `[[U, u], [u^T, w]]`.
 fn blocks<T: Real>(m: &Matrix4<T>) -> (Matrix3<T>, Vector3<T>, T) {
-    (m.fixed_view::<3, 3>(0, 0).into_owned(), m.fixed_view::<3, 1>(0, 3).into_owned(), m[(3, 3)])
+    (
+        m.fixed_view::<3, 3>(0, 0).into_owned(),
+        m.fixed_view::<3, 1>(0, 3).into_owned(),
+        m[(3, 3)],
+    )
 }
 
 /// The same of the rotor-pair form.
@@ -163,9 +182,15 @@ pub fn slice_rotor_vjp<T: Real>(splat: &RotorGaussian<T>, t: T, g: &Sliced<T>) -
     let d_w = cross.dot(&(g.covariance * cross)) / (w * w) - g.mean.dot(&cross) * dt / (w * w)
         + d_log * dt * dt / (two * w * w);
     let mut d_covariance = Matrix4::zeros();
-    d_covariance.fixed_view_mut::<3, 3>(0, 0).copy_from(&g.covariance);
-    d_covariance.fixed_view_mut::<3, 1>(0, 3).copy_from(&(d_cross / two));
-    d_covariance.fixed_view_mut::<1, 3>(3, 0).copy_from(&(d_cross / two).transpose());
+    d_covariance
+        .fixed_view_mut::<3, 3>(0, 0)
+        .copy_from(&g.covariance);
+    d_covariance
+        .fixed_view_mut::<3, 1>(0, 3)
+        .copy_from(&(d_cross / two));
+    d_covariance
+        .fixed_view_mut::<1, 3>(3, 0)
+        .copy_from(&(d_cross / two).transpose());
     d_covariance[(3, 3)] = d_w;
 
     let d_axes = d_covariance * axes * two;

@@ -11,7 +11,8 @@ use std::sync::Arc;
 pub(crate) const POSE: usize = 7;
 /// Numbers of a motion: quaternion, matrix row by row, shift.
 pub(crate) const MOTION: usize = 16;
-/// Columns of what is drawn of bound splats: mean, quaternion, logit of the opacity, constant colour.
+/// Columns of what is drawn of bound splats: mean, quaternion, logit of the opacity, constant
+/// colour.
 const POSED: usize = 11;
 /// Columns of a binding, floats as their bits: window,
 const BINDING: usize = 11;
@@ -65,7 +66,11 @@ impl Bound {
         gpu.fits("the poses of nodes", 4 * POSE * poses)?;
         gpu.fits("the bindings of splats", 4 * BINDING * n)?;
         let bindings = Buffer::words(client, &words(splats.bindings(), &starts));
-        let anchors: Vec<f32> = windows.iter().flat_map(|w| w.anchors().as_flattened()).copied().collect();
+        let anchors: Vec<f32> = windows
+            .iter()
+            .flat_map(|w| w.anchors().as_flattened())
+            .copied()
+            .collect();
         Ok(Some(Self {
             n,
             poses: Buffer::floats(client, &numbers(windows)),
@@ -81,42 +86,88 @@ impl Bound {
         }))
     }
 
-    /// The rows that `rows` names of splats of which the first bound one was `old_first`; `n` of them, from its number `first` on.
+    /// The rows that `rows` names of splats of which the first bound one was `old_first`; `n` of
+    /// them, from its number `first` on.
     #[must_use]
-    pub fn gathered(&self, gpu: &Gpu, rows: &Buffer, old_first: usize, (first, n): (usize, usize)) -> Self {
-        let bindings = gathered_columns(gpu, &self.bindings, rows, BINDING, (self.n, old_first), (n, first));
-        let posed = if n == self.n { self.posed.clone() } else { Buffer::empty(&gpu.client, POSED * n) };
-        Self { n, lists: lists(gpu, &bindings, n, self.nodes), bindings, posed, ..self.clone() }
+    pub fn gathered(
+        &self,
+        gpu: &Gpu,
+        rows: &Buffer,
+        old_first: usize,
+        (first, n): (usize, usize),
+    ) -> Self {
+        let bindings = gathered_columns(
+            gpu,
+            &self.bindings,
+            rows,
+            BINDING,
+            (self.n, old_first),
+            (n, first),
+        );
+        let posed = if n == self.n {
+            self.posed.clone()
+        } else {
+            Buffer::empty(&gpu.client, POSED * n)
+        };
+        Self {
+            n,
+            lists: lists(gpu, &bindings, n, self.nodes),
+            bindings,
+            posed,
+            ..self.clone()
+        }
     }
 
-    /// Waits, and gives windows and bindings to `splats`, whose first dynamic rows are bound. Fails with [`GpuError`] if the device failed.
-    pub fn download(&self, gpu: &Gpu, splats: &mut Splats, doing: &'static str) -> Result<(), GpuError> {
+    /// Waits, and gives windows and bindings to `splats`, whose first dynamic rows are bound. Fails
+    /// with [`GpuError`] if the device failed.
+    pub fn download(
+        &self,
+        gpu: &Gpu,
+        splats: &mut Splats,
+        doing: &'static str,
+    ) -> Result<(), GpuError> {
         let poses = self.poses.read_floats(&gpu.client, doing)?;
         let mut poses = poses.as_chunks::<POSE>().0.iter();
         let mut windows = self.windows.as_ref().clone();
         for window in &mut windows {
             for key in 0..window.keys().len() {
-                for (pose, &[x, y, z, a, b, c, d]) in window.poses_mut(key).iter_mut().zip(poses.by_ref()) {
-                    *pose = Pose { position: [x, y, z], rotation: [a, b, c, d] };
+                for (pose, &[x, y, z, a, b, c, d]) in
+                    window.poses_mut(key).iter_mut().zip(poses.by_ref())
+                {
+                    *pose = Pose {
+                        position: [x, y, z],
+                        rotation: [a, b, c, d],
+                    };
                 }
             }
         }
         let words = self.bindings.read_words(&gpu.client, doing)?;
-        let bindings = (0..self.n).map(|i| self.binding(|column| words[column * self.n + i])).collect();
+        let bindings = (0..self.n)
+            .map(|i| self.binding(|column| words[column * self.n + i]))
+            .collect();
         Ok(splats.bind(Arc::new(windows), bindings)?)
     }
 
     /// A binding from its columns.
     fn binding(&self, word: impl Fn(usize) -> u32) -> Binding {
         let window = word(0);
-        let first = self.starts.get(window as usize).map_or(0, |start| start[0] as u32);
+        let first = self
+            .starts
+            .get(window as usize)
+            .map_or(0, |start| start[0] as u32);
         let float = |column: usize| f32::from_bits(word(column));
         let [begin, end] = [float(LIFE), float(LIFE + 1)];
         Binding {
             window,
             nodes: std::array::from_fn(|k| (word(NODE + k) - first) as u16),
             weights: std::array::from_fn(|k| float(WEIGHT + k)),
-            life: [begin, end].map(|t| if t.abs() < FOREVER { t } else { f32::INFINITY.copysign(t) }),
+            life: [begin, end].map(|t| {
+                if t.abs() < FOREVER {
+                    t
+                } else {
+                    f32::INFINITY.copysign(t)
+                }
+            }),
         }
     }
 
@@ -141,8 +192,8 @@ impl Bound {
         &self.posed
     }
 
-    /// The numbers in each buffer of `n` bound splats and of `windows`; neither the moments of the nodes nor the table of an instant
-    /// are among them.
+    /// The numbers in each buffer of `n` bound splats and of `windows`; neither the moments of the
+    /// nodes nor the table of an instant are among them.
     pub(crate) fn lengths(n: usize, windows: &[Window]) -> Vec<usize> {
         if windows.is_empty() {
             return Vec::new();
@@ -152,10 +203,20 @@ impl Bound {
             nodes += window.anchors().len();
             poses += window.anchors().len() * window.keys().len();
         }
-        vec![POSE * poses, 3 * nodes, BINDING * n, nodes + 1, 4 * n, MOTION * nodes, POSED * n, NODE_PARAMETERS * poses]
+        vec![
+            POSE * poses,
+            3 * nodes,
+            BINDING * n,
+            nodes + 1,
+            4 * n,
+            MOTION * nodes,
+            POSED * n,
+            NODE_PARAMETERS * poses,
+        ]
     }
 
-    /// Waits, and returns the gradients of the nodes at these keys. Fails with [`GpuError`] if the device failed.
+    /// Waits, and returns the gradients of the nodes at these keys. Fails with [`GpuError`] if the
+    /// device failed.
     pub(crate) fn node_gradients(
         &self,
         gpu: &Gpu,
@@ -166,7 +227,11 @@ impl Bound {
         let all = all.as_chunks::<NODE_PARAMETERS>().0;
         let one = |&(window, key): &(usize, usize)| {
             let [first, nodes] = self.poses_at(window, key);
-            NodeGradients { window, key, nodes: all[first..first + nodes].to_vec() }
+            NodeGradients {
+                window,
+                key,
+                nodes: all[first..first + nodes].to_vec(),
+            }
         };
         Ok(keys.iter().map(one).collect())
     }
@@ -174,7 +239,9 @@ impl Bound {
 
 /// The poses of all windows, keys and nodes.
 fn numbers(windows: &[Window]) -> Vec<f32> {
-    let keys = windows.iter().flat_map(|w| (0..w.keys().len()).map(move |key| w.poses(key)));
+    let keys = windows
+        .iter()
+        .flat_map(|w| (0..w.keys().len()).map(move |key| w.poses(key)));
     let numbers = |pose: &Pose| pose.position.into_iter().chain(pose.rotation);
     keys.flatten().flat_map(numbers).collect()
 }
@@ -190,6 +257,10 @@ fn words(bindings: &[Binding], starts: &[[usize; 2]]) -> Vec<u32> {
             _ => finite(b.life[c - LIFE]),
         })
     };
-    const { assert!(NODE + BINDING_NODES == WEIGHT && WEIGHT + BINDING_NODES == LIFE && LIFE + 2 == BINDING) }
+    const {
+        assert!(
+            NODE + BINDING_NODES == WEIGHT && WEIGHT + BINDING_NODES == LIFE && LIFE + 2 == BINDING
+        )
+    }
     (0..BINDING).flat_map(column).collect()
 }

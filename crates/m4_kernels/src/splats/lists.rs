@@ -7,13 +7,19 @@ use crate::gpu::sort::{Pairs, Sort};
 use crate::launch;
 use cubecl::prelude::*;
 
-/// Where the entries of each of `nodes` nodes start, and one more, and the entries: four times a bound splat plus its place among the splat's
-/// nodes, rising within a node.
+/// Where the entries of each of `nodes` nodes start, and one more, and the entries: four times a
+/// bound splat plus its place among the splat's nodes, rising within a node.
 pub(super) fn lists(gpu: &Gpu, bindings: &Buffer, n: usize, nodes: usize) -> [Buffer; 2] {
     let client = &gpu.client;
     let starts = Buffer::empty(client, nodes + 1);
     let pairs = Pairs::empty(client, 4 * n);
-    launch!(client, pair::launch, (cubes(4 * n, 256), units()), [bindings, pairs.keys, pairs.values], [n as u32]);
+    launch!(
+        client,
+        pair::launch,
+        (cubes(4 * n, 256), units()),
+        [bindings, pairs.keys, pairs.values],
+        [n as u32]
+    );
     let sort = Sort::new(client, 4 * n);
     let count = Buffer::words(client, &[4 * n as u32]);
     let sorted = sort.run(client, &pairs, &count, key_bits(nodes));

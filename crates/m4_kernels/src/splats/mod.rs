@@ -1,4 +1,5 @@
-//! Splats on the device with what carries the bound ones, the gather of their rows into a new order, and the order of memory.
+//! Splats on the device with what carries the bound ones, the gather of their rows into a new
+//! order, and the order of memory.
 
 mod bound;
 mod lists;
@@ -15,8 +16,8 @@ use cubecl::prelude::*;
 use m4_core::{Column, SplatLayout, Splats};
 use std::ops::Range;
 
-/// Columns of splats, or numbers for each of them, in three buffers of whole columns one after the other: geometry with
-/// opacity, colours, and what dynamic splats have besides.
+/// Columns of splats, or numbers for each of them, in three buffers of whole columns one after the
+/// other: geometry with opacity, colours, and what dynamic splats have besides.
 #[derive(Debug, Clone)]
 pub struct DeviceSplats {
     /// Mean, scale, rotation, opacity.
@@ -38,7 +39,11 @@ pub struct DeviceSplats {
 /// The columns of each buffer.
 pub fn parts(layout: SplatLayout) -> [Range<usize>; 3] {
     let colour = layout.range(Column::Colour);
-    [0..colour.start, colour, layout.shared_columns()..layout.columns()]
+    [
+        0..colour.start,
+        colour,
+        layout.shared_columns()..layout.columns(),
+    ]
 }
 
 impl DeviceSplats {
@@ -49,9 +54,12 @@ impl DeviceSplats {
 
     /// Copies `splats` to the device. Fails with [`GpuError`] if they do not fit.
     pub fn upload(gpu: &Gpu, splats: &Splats) -> Result<Self, GpuError> {
-        let [geometry, colour, time] = parts(splats.layout()).map(|range| splats.columns()[range].concat());
-        for (what, len) in [("the geometry of the splats", geometry.len()), ("the colours of the splats", colour.len())]
-        {
+        let [geometry, colour, time] =
+            parts(splats.layout()).map(|range| splats.columns()[range].concat());
+        for (what, len) in [
+            ("the geometry of the splats", geometry.len()),
+            ("the colours of the splats", colour.len()),
+        ] {
             gpu.fits(what, 4 * len)?;
         }
         Ok(Self {
@@ -111,15 +119,30 @@ impl DeviceSplats {
 /// The numbers of `from` that `rows` names, one per splat: `n` of them, 0 for [`NOTHING`].
 pub fn gathered_words(gpu: &Gpu, from: &Buffer, rows: &Buffer, n: usize) -> Buffer {
     let to = Buffer::empty(&gpu.client, n);
-    launch!(&gpu.client, gather_words::launch, (cubes(n, 256), units()), [from, rows, to], [n as u32]);
+    launch!(
+        &gpu.client,
+        gather_words::launch,
+        (cubes(n, 256), units()),
+        [from, rows, to],
+        [n as u32]
+    );
     to
 }
 
-/// The rows of `from` that `rows` names: `n` of them, the first `n_static` static; zeros for [`NOTHING`]. What is bound is left to
-/// [`Bound::gathered`].
-pub fn gathered(gpu: &Gpu, from: &DeviceSplats, rows: &Buffer, (n, n_static): (usize, usize)) -> DeviceSplats {
+/// The rows of `from` that `rows` names: `n` of them, the first `n_static` static; zeros for
+/// [`NOTHING`]. What is bound is left to [`Bound::gathered`].
+pub fn gathered(
+    gpu: &Gpu,
+    from: &DeviceSplats,
+    rows: &Buffer,
+    (n, n_static): (usize, usize),
+) -> DeviceSplats {
     let columns = parts(from.layout).map(|range| range.len());
-    let old = [(from.n, 0), (from.n, 0), (from.n - from.n_static, from.n_static)];
+    let old = [
+        (from.n, 0),
+        (from.n, 0),
+        (from.n - from.n_static, from.n_static),
+    ];
     let new = [(n, 0), (n, 0), (n - n_static, n_static)];
     let buffers = from.buffers();
     let [geometry, colour, time] = [0, 1, 2].map(|k| {
@@ -131,15 +154,30 @@ pub fn gathered(gpu: &Gpu, from: &DeviceSplats, rows: &Buffer, (n, n_static): (u
                 gather_columns::launch,
                 (cubes(new, 256), units()),
                 [buffers[k], rows, to],
-                [columns[k] as u32, old as u32, old_first as u32, new as u32, new_first as u32]
+                [
+                    columns[k] as u32,
+                    old as u32,
+                    old_first as u32,
+                    new as u32,
+                    new_first as u32
+                ]
             );
         }
         to
     });
-    DeviceSplats { geometry, colour, time, layout: from.layout, n, n_static, bound: None }
+    DeviceSplats {
+        geometry,
+        colour,
+        time,
+        layout: from.layout,
+        n,
+        n_static,
+        bound: None,
+    }
 }
 
-/// `columns` columns of `old` rows, the first of which is splat `old_first`, become columns of `new` rows.
+/// `columns` columns of `old` rows, the first of which is splat `old_first`, become columns of
+/// `new` rows.
 #[cube(launch)]
 fn gather_columns(
     from: &[f32],
@@ -164,8 +202,8 @@ fn gather_columns(
     }
 }
 
-/// As [`gathered`], of one buffer of `columns` columns of words: `old` rows, the first of which is splat `old_first`, become `new` rows from
-/// splat `new_first` on.
+/// As [`gathered`], of one buffer of `columns` columns of words: `old` rows, the first of which is
+/// splat `old_first`, become `new` rows from splat `new_first` on.
 pub(crate) fn gathered_columns(
     gpu: &Gpu,
     from: &Buffer,
@@ -180,7 +218,13 @@ pub(crate) fn gathered_columns(
         gather_word_columns::launch,
         (cubes(new, 256), units()),
         [from, rows, to],
-        [columns as u32, old as u32, old_first as u32, new as u32, new_first as u32]
+        [
+            columns as u32,
+            old as u32,
+            old_first as u32,
+            new as u32,
+            new_first as u32
+        ]
     );
     to
 }

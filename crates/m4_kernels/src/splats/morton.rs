@@ -21,8 +21,9 @@ fn slot_bits(windows: usize) -> u32 {
     (usize::BITS - (SLOTS + windows - 1).leading_zeros()).next_multiple_of(4)
 }
 
-/// The rows of `splats` in the order of memory: static splats along a Morton curve, then bound ones by their window, then free ones by coarse time,
-/// along a Morton curve within each window and slot of time.
+/// The rows of `splats` in the order of memory: static splats along a Morton curve, then bound ones
+/// by their window, then free ones by coarse time, along a Morton curve within each window and slot
+/// of time.
 pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
     let (n, n_static) = (splats.n, splats.n_static);
     let client = &gpu.client;
@@ -41,7 +42,13 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
     for (axis, (buffer, first, rows)) in columns.into_iter().enumerate() {
         let pairs = Pairs::empty(client, n);
         let count = Buffer::words(client, &[rows as u32]);
-        launch!(client, keys_of::launch, (cubes(n, 256), units()), [buffer, pairs.keys], [first as u32, rows as u32]);
+        launch!(
+            client,
+            keys_of::launch,
+            (cubes(n, 256), units()),
+            [buffer, pairs.keys],
+            [first as u32, rows as u32]
+        );
         let sorted = sort.run(client, &pairs, &count, 32);
         launch!(
             client,
@@ -51,7 +58,10 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
             [axis as u32, rows as u32]
         );
     }
-    let windows = splats.bound.as_ref().map_or(0, |bound| bound.windows().len());
+    let windows = splats
+        .bound
+        .as_ref()
+        .map_or(0, |bound| bound.windows().len());
     let (places, slots) = (Pairs::empty(client, n), Buffer::empty(client, n));
     launch!(
         client,
@@ -76,8 +86,14 @@ pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
         ]
     );
     let by_place = sort.run(client, &places, &all, PLACE_BITS);
-    let by_slot = Pairs { keys: gathered_words(gpu, &slots, &by_place.values, n), values: by_place.values.clone() };
-    Sort::new(client, n).run(client, &by_slot, &all, slot_bits(windows)).values.clone()
+    let by_slot = Pairs {
+        keys: gathered_words(gpu, &slots, &by_place.values, n),
+        values: by_place.values.clone(),
+    };
+    Sort::new(client, n)
+        .run(client, &by_slot, &all, slot_bits(windows))
+        .values
+        .clone()
 }
 
 /// Numbers that sort as the floats of a column do.

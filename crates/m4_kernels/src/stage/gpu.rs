@@ -1,4 +1,5 @@
-//! Splats to what tiles are made of, and back: slice, project, shade and the count of tiles in one kernel, one unit per splat.
+//! Splats to what tiles are made of, and back: slice, project, shade and the count of tiles in one
+//! kernel, one unit per splat.
 
 use crate::gpu::scan::scan_cube;
 use crate::gpu::vector::{INVERSE_PERIOD, NEAR, SIZE, TIME, V3, dot, scaled};
@@ -6,7 +7,9 @@ use crate::project::gpu::{ellipse, offset_of, row};
 use crate::shade::gpu::raw_colour;
 use crate::slice::gpu::{Carried, carried, drawn_shape, life, posed_number};
 use crate::splats::DeviceSplats;
-use crate::tile_binning::gpu::{LARGE_SPLATS, MANY, REACH, RECORD, Reach, SLOTS, count_slack, tile_rows, tile_span};
+use crate::tile_binning::gpu::{
+    LARGE_SPLATS, MANY, REACH, RECORD, Reach, SLOTS, count_slack, tile_rows, tile_span,
+};
 pub(crate) use backward::{project_backward, sum_large};
 use cubecl::prelude::*;
 use std::f32::consts::{LN_2, LOG2_E};
@@ -73,8 +76,9 @@ const LOG2_ALPHA_MIN: f32 = crate::ellipse::LOG2_ALPHA_MIN as f32;
 const HALF_LOG2_E: f32 = 0.5 * LOG2_E;
 const TWO_LN_2: f32 = 2.0 * LN_2;
 
-/// Fills the records of the splats in the frame, their depths and tile counts, notes where the tiles' counts change, and gives every
-/// tile of a splat a slot: `offsets` is the first of them. Which splats come first is different every time.
+/// Fills the records of the splats in the frame, their depths and tile counts, notes where the
+/// tiles' counts change, and gives every tile of a splat a slot: `offsets` is the first of them.
+/// Which splats come first is different every time.
 #[cube(launch)]
 pub(crate) fn project(
     geometry: &[f32],
@@ -104,7 +108,9 @@ pub(crate) fn project(
         let at = i as usize;
         let rows = n as usize;
         let carried = carried(i, n_static, n_still);
-        let life = life(geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], spec.bound);
+        let life = life(
+            geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], spec.bound,
+        );
         let offset = offset_of(eye, &life.mean);
         let z = dot(&row(eye, 2usize), &offset);
         if life.marginal > MARGINAL_MIN && z > eye[NEAR] {

@@ -1,12 +1,13 @@
 //! Slice, project and shade in one pass over the columns, forward and backward.
 //!
-//! Rows are cut into fixed chunks, static and dynamic rows apart; a chunk is a task. Forward, it hands
-//! every splat on once, as a [`Row`], and tells each band which of them reach it. Backward, it collects the moments of its splats
-//! from the bands, in the order of the bands, and turns them into gradients of the columns.
+//! Rows are cut into fixed chunks, static and dynamic rows apart; a chunk is a task. Forward, it
+//! hands every splat on once, as a [`Row`], and tells each band which of them reach it. Backward,
+//! it collects the moments of its splats from the bands, in the order of the bands, and turns them
+//! into gradients of the columns.
 //!
-//! Sixteen rows are a group. Splats of a group go to their bands one band after the other, not one splat
-//! after the other: neighbours in memory are neighbours in the image, so a group reaches few bands,
-//! and the length of the loops is guessed right far more often.
+//! Sixteen rows are a group. Splats of a group go to their bands one band after the other, not one
+//! splat after the other: neighbours in memory are neighbours in the image, so a group reaches few
+//! bands, and the length of the loops is guessed right far more often.
 
 #[cfg(feature = "gpu")]
 pub(crate) mod gpu;
@@ -33,7 +34,8 @@ struct Group {
     at: u32,
     /// Lanes that reach a tile.
     seen: u16,
-    /// Where the group's entries of [`Chunk::parts`] end; they start where those of the one before end.
+    /// Where the group's entries of [`Chunk::parts`] end; they start where those of the one before
+    /// end.
     parts_end: u32,
 }
 
@@ -76,9 +78,13 @@ impl Chunk {
     pub(crate) fn plan(chunks: &mut Vec<Self>, splats: &Splats, bands: usize) {
         let (bound, n) = (splats.bound(), splats.n());
         let cut = |rows: Range<usize>, dynamic: bool| {
-            rows.clone().step_by(CHUNK_ROWS).map(move |start| (start..rows.end.min(start + CHUNK_ROWS), dynamic))
+            rows.clone()
+                .step_by(CHUNK_ROWS)
+                .map(move |start| (start..rows.end.min(start + CHUNK_ROWS), dynamic))
         };
-        let plan = cut(0..bound.start, false).chain(cut(bound.clone(), false)).chain(cut(bound.end..n, true));
+        let plan = cut(0..bound.start, false)
+            .chain(cut(bound.clone(), false))
+            .chain(cut(bound.end..n, true));
         let (mut count, mut place) = (0, 0);
         for (rows, dynamic) in plan {
             if chunks.len() == count {
@@ -100,7 +106,10 @@ impl Chunk {
 
     /// Splats that reach the image.
     pub(crate) fn visible(&self) -> usize {
-        self.groups.iter().map(|g| g.seen.count_ones() as usize).sum()
+        self.groups
+            .iter()
+            .map(|g| g.seen.count_ones() as usize)
+            .sum()
     }
 
     /// Fills `bands` and, for groups that are seen, `out`, which is [`room`](Self::room) long.
@@ -127,10 +136,18 @@ impl Chunk {
     ) -> CameraSums {
         out.touched.fill(0);
         match (self.dynamic, c.layout.isotropic) {
-            (false, false) => passes::chunk_backward::<S, false, false>(s, self, c, eye, sums, with_camera, out),
-            (false, true) => passes::chunk_backward::<S, false, true>(s, self, c, eye, sums, with_camera, out),
-            (true, false) => passes::chunk_backward::<S, true, false>(s, self, c, eye, sums, with_camera, out),
-            (true, true) => passes::chunk_backward::<S, true, true>(s, self, c, eye, sums, with_camera, out),
+            (false, false) => {
+                passes::chunk_backward::<S, false, false>(s, self, c, eye, sums, with_camera, out)
+            }
+            (false, true) => {
+                passes::chunk_backward::<S, false, true>(s, self, c, eye, sums, with_camera, out)
+            }
+            (true, false) => {
+                passes::chunk_backward::<S, true, false>(s, self, c, eye, sums, with_camera, out)
+            }
+            (true, true) => {
+                passes::chunk_backward::<S, true, true>(s, self, c, eye, sums, with_camera, out)
+            }
         }
     }
 

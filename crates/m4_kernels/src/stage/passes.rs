@@ -5,7 +5,10 @@ use crate::{
     ellipse::ALPHA_MIN,
     project::cpu::{self as project, Ellipse, Eye, Moments},
     shade::cpu::{self as shade, Sight},
-    simd::{FETCH_ROWS, LANES, all, all3, bits, dot, each, lanes, load, log2, sigmoid, store, touch, transpose, turn},
+    simd::{
+        FETCH_ROWS, LANES, all, all3, bits, dot, each, lanes, load, log2, sigmoid, store, touch,
+        transpose, turn,
+    },
     slice::cpu::{self as slice, Columns, Slice, SliceGradient},
     stage::{CameraSums, Chunk, ChunkGradient, Group, Part},
     tile_binning::handover::{Extent, FIELDS, Row},
@@ -47,18 +50,32 @@ pub(super) fn chunk_forward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
 /// The lanes of a group that are rows of the chunk.
 #[inline(always)]
 fn inside(left: usize) -> u16 {
-    if left >= LANES { u16::MAX } else { (1 << left) - 1 }
+    if left >= LANES {
+        u16::MAX
+    } else {
+        (1 << left) - 1
+    }
 }
 
 /// One over the length of a vector from the camera, and the unit vector.
 #[inline(always)]
-pub(super) fn sight<S: Simd>(s: S, c: &Columns<'_>, eye: &Eye, offset: &[f32x16<S>; 3], dt: f32x16<S>) -> Sight<S> {
+pub(super) fn sight<S: Simd>(
+    s: S,
+    c: &Columns<'_>,
+    eye: &Eye,
+    offset: &[f32x16<S>; 3],
+    dt: f32x16<S>,
+) -> Sight<S> {
     let (mut direction, mut inverse_distance) = (*offset, all(s, 0.0));
     if c.layout.sh_degree > 0 {
         inverse_distance = all(s, 1.0) / dot(offset, offset).sqrt();
         direction = each!(3, k => offset[k] * inverse_distance);
     }
-    Sight { direction, inverse_distance, turns: dt * all(s, eye.inverse_period) }
+    Sight {
+        direction,
+        inverse_distance,
+        turns: dt * all(s, eye.inverse_period),
+    }
 }
 
 #[inline(always)]
@@ -121,7 +138,11 @@ fn group<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     }
     let last: [f32; LANES] = rows[LANES - 1].to_array();
     out[(LANES - 1) * FIELDS..].copy_from_slice(&last[..FIELDS]);
-    chunk.groups.push(Group { at: at as u32, seen, parts_end: chunk.parts.len() as u32 });
+    chunk.groups.push(Group {
+        at: at as u32,
+        seen,
+        parts_end: chunk.parts.len() as u32,
+    });
     if DYNAMIC {
         chunk.marginals.push(splat.marginal.to_array());
     }
@@ -129,7 +150,14 @@ fn group<S: Simd, const DYNAMIC: bool, const ISO: bool>(
 
 /// Hands the splats of a group to their bands; returns those that reach a tile.
 #[inline(always)]
-fn emit<S: Simd>(s: S, chunk: &mut Chunk, at: usize, eye: &Eye, ellipse: &Ellipse<S>, extent: &Extent<S>) -> u16 {
+fn emit<S: Simd>(
+    s: S,
+    chunk: &mut Chunk,
+    at: usize,
+    eye: &Eye,
+    ellipse: &Ellipse<S>,
+    extent: &Extent<S>,
+) -> u16 {
     let row = (chunk.place + at) as u32;
     let mut seen = 0;
     for band in extent.bands() {
@@ -141,7 +169,10 @@ fn emit<S: Simd>(s: S, chunk: &mut Chunk, at: usize, eye: &Eye, ellipse: &Ellips
         let lanes = reach.lanes(s);
         if lanes != 0 {
             chunk.bands[band].push(s, row, lanes, &reach);
-            chunk.parts.push(Part { band: band as u16, lanes });
+            chunk.parts.push(Part {
+                band: band as u16,
+                lanes,
+            });
             seen |= lanes;
         }
     }
@@ -161,7 +192,10 @@ pub(super) fn chunk_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     let zero = all(s, 0.0);
     let mut camera = with_camera.then_some([zero; 10]);
     // groups jump between the bands: read in order, their sums come from far memory much faster
-    let lines = sums.iter().zip(&chunk.bands).flat_map(|(sums, band)| &sums[..band.splats()]);
+    let lines = sums
+        .iter()
+        .zip(&chunk.bands)
+        .flat_map(|(sums, band)| &sums[..band.splats()]);
     for line in lines {
         // one after the other: of a sum the compiler makes gathers, which are slower
         std::hint::black_box(line.0[0]);
@@ -228,7 +262,16 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         store((x * x + y * y).sqrt(), out.image, at);
     }
     let sight = sight(s, c, eye, &place.offset, splat.dt);
-    let seen_from = shade::backward(s, c, row, &sight, eye.inverse_period, &d_rgb, &mut out.columns, at);
+    let seen_from = shade::backward(
+        s,
+        c,
+        row,
+        &sight,
+        eye.inverse_period,
+        &d_rgb,
+        &mut out.columns,
+        at,
+    );
     let logit = load(s, c.opacity, row, 0.0);
     let d_logit = moments.weight * (all(s, 1.0) - sigmoid(s, logit));
     store(d_logit, out.columns[c.layout.column(Column::Opacity)], at);

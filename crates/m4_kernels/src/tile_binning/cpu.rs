@@ -1,13 +1,14 @@
 //! The SIMD version: bands of tile rows, each with lists of the splats that touch it.
 //!
-//! The image is cut into bands of [`BAND_TILES`] tile rows. The splats that reach a band have numbers in
-//! it, in the order of their rows in memory. So a band's blending works on some hundred kilobytes that stay
-//! in the second-level cache, its gradients go to memory of its own, and no two threads write to the same
-//! place: bands are tasks, and results do not depend on how many threads there are.
+//! The image is cut into bands of [`BAND_TILES`] tile rows. The splats that reach a band have
+//! numbers in it, in the order of their rows in memory. So a band's blending works on some hundred
+//! kilobytes that stay in the second-level cache, its gradients go to memory of its own, and no two
+//! threads write to the same place: bands are tasks, and results do not depend on how many threads
+//! there are.
 //!
-//! A band is cut into blocks of two tile columns. A block's list names the splats that reach it, near to
-//! far, and with each the tiles of the block that it reaches, as bits ([`Entry`]): one entry stands for up
-//! to [`BLOCK_TILES`] entries of tile lists.
+//! A band is cut into blocks of two tile columns. A block's list names the splats that reach it,
+//! near to far, and with each the tiles of the block that it reaches, as bits ([`Entry`]): one
+//! entry stands for up to [`BLOCK_TILES`] entries of tile lists.
 
 use super::{
     TILE,
@@ -29,8 +30,8 @@ pub(crate) const BLOCK_WIDTH: usize = BLOCK_COLUMNS * TILE;
 
 /// One projected splat as the blending reads it: a cache line.
 ///
-/// `alpha = 2^e`, `e = log_opacity - (a dx^2 + b dx dy + c dy^2)` with `d = centre - pixel`: the conic
-/// is scaled by `log2(e)`, and `a`, `c` by one half besides.
+/// `alpha = 2^e`, `e = log_opacity - (a dx^2 + b dx dy + c dy^2)` with `d = centre - pixel`: the
+/// conic is scaled by `log2(e)`, and `a`, `c` by one half besides.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(crate) struct Record {
@@ -52,14 +53,34 @@ impl Record {
     #[cfg(test)]
     pub(crate) fn row(&self) -> Row {
         let [red, green, blue] = self.rgb;
-        [self.x, self.y, self.a, self.b, self.c, self.log_opacity, red, green, blue, self.depth]
+        [
+            self.x,
+            self.y,
+            self.a,
+            self.b,
+            self.c,
+            self.log_opacity,
+            red,
+            green,
+            blue,
+            self.depth,
+        ]
     }
 
     /// From what the projection wrote.
     #[inline(always)]
     pub(crate) fn of(row: &Row) -> Self {
         let [x, y, a, b, c, log_opacity, red, green, blue, depth] = *row;
-        Self { x, y, a, b, c, log_opacity, rgb: [red, green, blue], depth }
+        Self {
+            x,
+            y,
+            a,
+            b,
+            c,
+            log_opacity,
+            rgb: [red, green, blue],
+            depth,
+        }
     }
 }
 
@@ -69,13 +90,17 @@ pub(crate) fn span(first: u32, end: u32) -> u32 {
     end << 16 | first
 }
 
-/// A splat in a block: its row, its number in the band, and a bit for each tile of the block that it reaches.
+/// A splat in a block: its row, its number in the band, and a bit for each tile of the block that
+/// it reaches.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Entry(u64);
 
 /// Bits of a row and of a number: the parameters alone of this many splats take 15 GB.
 const INDEX_BITS: u32 = 28;
-const _: () = assert!(2 * INDEX_BITS as usize + BLOCK_TILES == 64, "an entry is a 64-bit number");
+const _: () = assert!(
+    2 * INDEX_BITS as usize + BLOCK_TILES == 64,
+    "an entry is a 64-bit number"
+);
 
 impl Entry {
     #[inline(always)]
@@ -119,7 +144,8 @@ pub(crate) struct Band {
 /// The blocks and tiles that a splat reaches.
 #[derive(Debug, Clone, Copy, Default)]
 struct Footprint {
-    /// As [`Part::tiles`](super::handover::Part); for more than [`WINDOW_BLOCKS`] blocks the place in [`Band::far`].
+    /// As [`Part::tiles`](super::handover::Part); for more than [`WINDOW_BLOCKS`] blocks the place
+    /// in [`Band::far`].
     tiles: u64,
     row: u32,
     /// The range of blocks.
@@ -134,8 +160,8 @@ impl Footprint {
     }
 }
 
-/// Footprints that are looked up together, in the order of depth: many loads at once, where entering
-/// one would wait for each.
+/// Footprints that are looked up together, in the order of depth: many loads at once, where
+/// entering one would wait for each.
 const BATCH: usize = 64;
 
 impl Band {
@@ -146,7 +172,8 @@ impl Band {
         chunks: impl Iterator<Item = &'a Handover> + Clone,
         blocks_x: usize,
     ) {
-        // a range adds 1 at its first block and takes it off after its last; the running sum is the count
+        // a range adds 1 at its first block and takes it off after its last; the running sum is the
+        // count
         self.cursor.clear();
         self.cursor.resize(blocks_x + 1, 0);
         let total = chunks.clone().map(Handover::splats).sum();
@@ -167,13 +194,14 @@ impl Band {
                 let footprints = self.footprints[here.clone()].iter_mut();
                 let entries = lanes(part.lanes).zip(footprints).zip(keys);
                 for (index, ((lane, footprint), key)) in (start as u32..).zip(entries) {
-                    // this also brings the row into the cache, much faster than the blending, which looks rows up
-                    // out of order
+                    // this also brings the row into the cache, much faster than the blending, which
+                    // looks rows up out of order
                     *key = Order::key(rows[lane][Record::DEPTH], index);
                     (least, most) = (least.min(*key), most.max(*key));
                     let range = part.range[lane];
                     *footprint = Footprint {
-                        tiles: u64::from(part.tiles[1][lane]) << 32 | u64::from(part.tiles[0][lane]),
+                        tiles: u64::from(part.tiles[1][lane]) << 32
+                            | u64::from(part.tiles[0][lane]),
                         row: part.row + lane as u32,
                         first: range as u16,
                         end: (range >> 16) as u16,
@@ -197,8 +225,8 @@ impl Band {
         self.footprints.len()
     }
 
-    /// Reads the rows of all splats in order, which brings them into the cache much faster than the blending,
-    /// which looks them up out of order.
+    /// Reads the rows of all splats in order, which brings them into the cache much faster than the
+    /// blending, which looks them up out of order.
     pub(crate) fn touch(&self, rows: &[Row]) {
         // rows are shorter than a cache line and lie side by side: of each, one number is enough
         for footprint in &self.footprints {
@@ -232,7 +260,8 @@ impl Band {
         self.lists.truncate(total as usize);
     }
 
-    /// Enters a splat into the lists of its blocks; `nowhere` is the place for entries that are none.
+    /// Enters a splat into the lists of its blocks; `nowhere` is the place for entries that are
+    /// none.
     #[inline(always)]
     fn enter(&mut self, index: u32, footprint: &Footprint, nowhere: u32) {
         if footprint.is_far() {
@@ -270,7 +299,10 @@ impl Band {
 
     /// Entries of all tile lists.
     pub(crate) fn pairs(&self) -> usize {
-        self.lists.iter().map(|e| e.tiles().count_ones() as usize).sum()
+        self.lists
+            .iter()
+            .map(|e| e.tiles().count_ones() as usize)
+            .sum()
     }
 
     /// The list of a block.
@@ -315,7 +347,10 @@ mod tests {
             let mut band = Band::default();
             let splats: Vec<(Record, [u32; BAND_TILES])> = (0..n)
                 .map(|_| {
-                    let record = Record { depth: 0.5 + (rng.uniform() * 20.0).floor() as f32, ..Record::default() };
+                    let record = Record {
+                        depth: 0.5 + (rng.uniform() * 20.0).floor() as f32,
+                        ..Record::default()
+                    };
                     let spans = std::array::from_fn(|_| {
                         let (a, b) = (rng.below(61) as u32, rng.below(61) as u32);
                         if a < b { span(a, b) } else { 0 }
@@ -326,7 +361,9 @@ mod tests {
             let (rows, chunks) = hand_over(SimdLevel::best(), &splats, 100);
             band.collect(&rows, chunks.iter(), blocks_x);
             band.build();
-            for (tile, row) in (0..BLOCK_COLUMNS * blocks_x).flat_map(|x| (0..BAND_TILES).map(move |y| (x, y))) {
+            for (tile, row) in
+                (0..BLOCK_COLUMNS * blocks_x).flat_map(|x| (0..BAND_TILES).map(move |y| (x, y)))
+            {
                 let mut want: Vec<usize> = (0..n)
                     .filter(|&i| {
                         let s = splats[i].1[row];
@@ -336,7 +373,10 @@ mod tests {
                 want.sort_by(|&i, &j| splats[i].0.depth.total_cmp(&splats[j].0.depth));
                 let bit = 1 << (row * BLOCK_COLUMNS + tile % BLOCK_COLUMNS);
                 let list = band.list(tile / BLOCK_COLUMNS).iter();
-                let got: Vec<usize> = list.filter(|e| e.tiles() & bit != 0).map(|e| e.index()).collect();
+                let got: Vec<usize> = list
+                    .filter(|e| e.tiles() & bit != 0)
+                    .map(|e| e.index())
+                    .collect();
                 assert_eq!(got, want, "tile {tile} of row {row} of {n} splats");
             }
         }

@@ -1,6 +1,6 @@
-//! Binning: turns ellipses into depth-ordered tile lists without sorting everything. Splats note in each row of tiles where
-//! their count changes (`project`), a scan over the tiles gives each list its place, splats write themselves into the lists,
-//! and a cube per tile sorts its list.
+//! Binning: turns ellipses into depth-ordered tile lists without sorting everything. Splats note in
+//! each row of tiles where their count changes (`project`), a scan over the tiles gives each list
+//! its place, splats write themselves into the lists, and a cube per tile sorts its list.
 
 use cubecl::prelude::*;
 
@@ -24,7 +24,8 @@ pub(crate) const LARGE_SPLATS: usize = 1;
 /// How many kinds there are.
 pub(crate) const ALLOCATED: usize = 2;
 
-/// A splat in more tiles than this is large: a whole cube writes its entries and adds up its gradients.
+/// A splat in more tiles than this is large: a whole cube writes its entries and adds up its
+/// gradients.
 pub(crate) const MANY: u32 = 64;
 /// Cubes that share the large splats.
 pub(crate) const LARGE_CUBES: usize = 512;
@@ -42,12 +43,13 @@ const SIDE: u32 = TILE as u32;
 const LAST: f32 = TILE as f32 - 1.0;
 /// Added to both sides of an ellipse, pixels: kernels that round differently agree on its tiles.
 pub(crate) const SLACK_PX: f32 = 0.005;
-/// Added when tiles are counted: what rounds differently when entries are made must not find more tiles than were counted.
+/// Added when tiles are counted: what rounds differently when entries are made must not find more
+/// tiles than were counted.
 const COUNT_SLACK_PX: f32 = 0.007;
 /// The same, as a share of the coordinates.
 const COUNT_SLACK: f32 = 4e-6;
-/// Numbers of a record: centre, half conic 00, conic 01, half conic 11 (times log2 e), log2 of the opacity, red, green,
-/// blue, z-depth.
+/// Numbers of a record: centre, half conic 00, conic 01, half conic 11 (times log2 e), log2 of the
+/// opacity, red, green, blue, z-depth.
 pub(crate) const RECORD: usize = 10;
 /// Numbers of a reach in memory.
 pub(crate) const REACH: usize = 6;
@@ -104,7 +106,8 @@ pub(crate) fn tile_span(r: &Reach, row: u32, slack: f32) -> (u32, u32) {
     let low = (f32::cast_from(row * SIDE) - r.v).max(-half);
     let high = (f32::cast_from(row * SIDE) + LAST - r.v).min(half);
     let y = right_at.max(low).min(high);
-    let right = r.u + slope * y + ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() + slack;
+    let right =
+        r.u + slope * y + ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() + slack;
     let y = (-right_at).max(low).min(high);
     let left = r.u + slope * y - ((r.radius - y * y * inverse) * across).max(0.0f32).sqrt() - slack;
     let left = left.ceil().max(0.0f32);

@@ -1,5 +1,6 @@
-//! The data that the projection passes to the bands: every splat once ([`Row`]), and for each band the splats that reach
-//! it, with the exact extent of their tiles row by row (docs/spec/optimiser.md 5.2).
+//! The data that the projection passes to the bands: every splat once ([`Row`]), and for each band
+//! the splats that reach it, with the exact extent of their tiles row by row
+//! (docs/spec/optimiser.md 5.2).
 
 use crate::{
     ellipse::ALPHA_MIN,
@@ -15,8 +16,8 @@ use std::ops::RangeInclusive;
 
 /// Numbers of a projected splat.
 pub(crate) const FIELDS: usize = 10;
-/// A projected splat, the numbers of a [`Record`](super::cpu::Record) side by side. It lies where its row
-/// is, sixteen a group; rows of groups that are not in the image hold what they held.
+/// A projected splat, the numbers of a [`Record`](super::cpu::Record) side by side. It lies where
+/// its row is, sixteen a group; rows of groups that are not in the image hold what they held.
 pub(crate) type Row = [f32; FIELDS];
 /// Tiles of a row, from the first of the blocks reached on, that have a bit in [`Part::tiles`].
 pub(super) const WINDOW: u32 = 16;
@@ -31,10 +32,11 @@ pub(crate) struct Part {
     /// Of the first lane.
     pub(super) row: u32,
     pub(super) lanes: u16,
-    /// For each splat and each tile row of the band [`WINDOW`] bits, one for each of the first tiles of its
-    /// range of blocks; two rows per number.
+    /// For each splat and each tile row of the band [`WINDOW`] bits, one for each of the first
+    /// tiles of its range of blocks; two rows per number.
     pub(super) tiles: [[u32; LANES]; BAND_TILES / 2],
-    /// For each splat the range of blocks that it reaches: first in the low half, end in the high half.
+    /// For each splat the range of blocks that it reaches: first in the low half, end in the high
+    /// half.
     pub(super) range: [u32; LANES],
 }
 
@@ -75,7 +77,12 @@ impl Handover {
         let tiles = each!(2, half => (bits[2 * half] | bits[2 * half + 1] << 16u32).to_array());
         let to = (most + k(1)) >> 1u32;
         let from = (least >> 1u32).min(to);
-        self.parts.push(Part { row, lanes, tiles, range: (from | to << 16u32).to_array() });
+        self.parts.push(Part {
+            row,
+            lanes,
+            tiles,
+            range: (from | to << 16u32).to_array(),
+        });
         self.splats += lanes.count_ones() as usize;
         let far = bits_of((to - from).simd_gt(k(WINDOW_BLOCKS))) & lanes;
         if far != 0 {
@@ -88,17 +95,27 @@ impl Handover {
     }
 
     #[cold]
-    fn push_far(&mut self, far: u16, first: &[[u32; LANES]; BAND_TILES], end: &[[u32; LANES]; BAND_TILES]) {
+    fn push_far(
+        &mut self,
+        far: u16,
+        first: &[[u32; LANES]; BAND_TILES],
+        end: &[[u32; LANES]; BAND_TILES],
+    ) {
         for lane in lanes_of(far) {
             let span = |r: usize| {
-                if end[r][lane] == 0 { 0 } else { end[r][lane] << 16 | first[r][lane] }
+                if end[r][lane] == 0 {
+                    0
+                } else {
+                    end[r][lane] << 16 | first[r][lane]
+                }
             };
             self.far.push(std::array::from_fn(span));
         }
     }
 }
 
-/// The tiles of a band's rows that sixteen splats reach: in each row from the first to before the end.
+/// The tiles of a band's rows that sixteen splats reach: in each row from the first to before the
+/// end.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reach<S: Simd> {
     first: [u32x16<S>; BAND_TILES],
@@ -109,7 +126,10 @@ impl<S: Simd> Reach<S> {
     /// No tile.
     #[inline(always)]
     pub(super) fn none(s: S) -> Self {
-        Self { first: [u32x16::splat(s, NONE); BAND_TILES], end: [u32x16::splat(s, 0); BAND_TILES] }
+        Self {
+            first: [u32x16::splat(s, NONE); BAND_TILES],
+            end: [u32x16::splat(s, 0); BAND_TILES],
+        }
     }
 
     /// Lanes of `hit` reach the tiles `first..end` of `row`, the others none.
@@ -150,7 +170,8 @@ pub(crate) mod tests {
                 let (mut first, mut end) = ([[0; LANES]; BAND_TILES], [[0; LANES]; BAND_TILES]);
                 for (lane, (_, spans)) in splats.iter().enumerate() {
                     for row in 0..BAND_TILES {
-                        (first[row][lane], end[row][lane]) = (spans[row] & 0xffff, spans[row] >> 16);
+                        (first[row][lane], end[row][lane]) =
+                            (spans[row] & 0xffff, spans[row] >> 16);
                     }
                 }
                 let (row, lanes) = (rows.len() as u32, u16::MAX >> (LANES - splats.len()));
@@ -211,7 +232,13 @@ const SLACK: f32 = 0.002;
 
 impl<S: Simd> Extent<S> {
     #[inline(always)]
-    pub(crate) fn new(s: S, eye: &Eye, e: &Ellipse<S>, log_opacity: f32x16<S>, on: mask32x16<S>) -> Self {
+    pub(crate) fn new(
+        s: S,
+        eye: &Eye,
+        e: &Ellipse<S>,
+        log_opacity: f32x16<S>,
+        on: mask32x16<S>,
+    ) -> Self {
         let k = |v: f32| all(s, v);
         let [v00, v01, v11] = e.covariance;
         let strength = on.select(log_opacity, k(0.0)) - k((ALPHA_MIN as f32).log2());
@@ -249,7 +276,10 @@ impl<S: Simd> Extent<S> {
     /// The bands from the first to the last that one may reach; a lane must be on.
     #[inline(always)]
     pub(crate) fn bands(&self) -> RangeInclusive<usize> {
-        let (first, last) = (self.top.reduce_min() as usize, self.bottom.reduce_max() as usize);
+        let (first, last) = (
+            self.top.reduce_min() as usize,
+            self.bottom.reduce_max() as usize,
+        );
         first / BAND_TILES..=last / BAND_TILES
     }
 
@@ -277,7 +307,8 @@ impl<S: Simd> Extent<S> {
             let (middle, reach) = self.across(s, e, (-self.right_at).max(low).min(high));
             let left = (middle - reach).ceil().max(zero);
             let hit = self.bottom.simd_ge(k(tile)) & low.simd_le(high) & left.simd_le(right);
-            let edges: [i32x16<S>; 2] = each!(2, n => ([left, right + k(EDGE)][n] * k(INVERSE_EDGE)).to_int());
+            let edges: [i32x16<S>; 2] =
+                each!(2, n => ([left, right + k(EDGE)][n] * k(INVERSE_EDGE)).to_int());
             let [first, end]: [u32x16<S>; 2] = each!(2, n => edges[n].bitcast());
             out.set(row, hit, first, end);
         }

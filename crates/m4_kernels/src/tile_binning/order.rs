@@ -10,8 +10,8 @@ const FEW: usize = 256;
 
 /// Sorts by depth, ties in the order in which they came.
 ///
-/// Two passes of a radix sort look at the top 22 bits of the depths' range; what these leave equal, a
-/// few neighbours at most in an ordinary scene, is put right by insertion.
+/// Two passes of a radix sort look at the top 22 bits of the depths' range; what these leave equal,
+/// a few neighbours at most in an ordinary scene, is put right by insertion.
 #[derive(Debug, Default)]
 pub(super) struct Order {
     /// Bits of the depth in the high half, index in the low half: all different.
@@ -38,7 +38,8 @@ impl Order {
         &mut self.keys[at]
     }
 
-    /// Key of number `index` at a depth, which is above 0: then its bits are in the order of depths.
+    /// Key of number `index` at a depth, which is above 0: then its bits are in the order of
+    /// depths.
     #[inline(always)]
     pub(super) fn key(depth: f32, index: u32) -> u64 {
         u64::from(depth.to_bits()) << 32 | u64::from(index)
@@ -67,7 +68,9 @@ impl Order {
         let least = (self.least >> 32) as u32;
         let range = (self.most >> 32) as u32 - least;
         let shift = (u32::BITS - range.leading_zeros()).saturating_sub(2 * DIGIT);
-        let digit = |key: u64, pass: u32| (((key >> 32) as u32 - least) >> (shift + DIGIT * pass)) as usize % SIZE;
+        let digit = |key: u64, pass: u32| {
+            (((key >> 32) as u32 - least) >> (shift + DIGIT * pass)) as usize % SIZE
+        };
         let mut counts = [[0u32; SIZE]; 2];
         for &key in &self.keys {
             counts[0][digit(key, 0)] += 1;
@@ -119,17 +122,31 @@ mod tests {
         let far = |_: usize| 1e6f32;
         let mut scenes: Vec<Vec<f32>> = vec![vec![], vec![2.0], vec![1.5; 3000]];
         for n in [255, 256, 4000] {
-            scenes.push((0..n).map(|_| 0.05 + (30.0 * rng.uniform()) as f32).collect());
+            scenes.push(
+                (0..n)
+                    .map(|_| 0.05 + (30.0 * rng.uniform()) as f32)
+                    .collect(),
+            );
             // many ties
-            scenes.push((0..n).map(|_| 1.0 + (8.0 * rng.uniform()).floor() as f32).collect());
-            // a wall seen head on, its depths apart by less than the passes can tell, and one splat far away
+            scenes.push(
+                (0..n)
+                    .map(|_| 1.0 + (8.0 * rng.uniform()).floor() as f32)
+                    .collect(),
+            );
+            // a wall seen head on, its depths apart by less than the passes can tell, and one splat
+            // far away
             let wall = (0..n).map(|_| f32::from_bits(1.0f32.to_bits() + rng.below(64) as u32));
             scenes.push(wall.chain([0].map(far)).collect());
         }
         let mut order = Order::default();
         for depths in scenes {
             order.resize(depths.len());
-            for (index, (key, &depth)) in order.keys(0..depths.len()).iter_mut().zip(&depths).enumerate() {
+            for (index, (key, &depth)) in order
+                .keys(0..depths.len())
+                .iter_mut()
+                .zip(&depths)
+                .enumerate()
+            {
                 *key = Order::key(depth, index as u32);
             }
             let keys = order.keys(0..depths.len());

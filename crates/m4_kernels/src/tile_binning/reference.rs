@@ -27,6 +27,10 @@ pub fn tiles<T: Real>(splat: &Ellipse<T>, width: usize, height: usize) -> Vec<(u
 /// Indices of `depths` near to far, ties in the order of the rows.
 pub fn depth_order<T: Real>(depths: &[T]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..depths.len()).collect();
-    order.sort_by(|&a, &b| depths[a].partial_cmp(&depths[b]).unwrap_or(std::cmp::Ordering::Equal));
+    order.sort_by(|&a, &b| {
+        depths[a]
+            .partial_cmp(&depths[b])
+            .unwrap_or(std::cmp::Ordering::Equal)
+    });
     order
 }

@@ -11,34 +11,57 @@ use m4_kernels::{
     slice::reference::{Gaussian, Life, Shape},
 };
 use m4_testkit::{
-    SceneSpec, Side, assert_gradient, camera_looking_at, central_differences, random_camera, random_splats,
+    SceneSpec, Side, assert_gradient, camera_looking_at, central_differences, random_camera,
+    random_splats,
 };
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 fn view(camera: Camera, mip: bool) -> View {
-    View { camera, t: 4.3, background: [0.2, 0.4, 0.1], near: 0.2, mip, period: 9.0, with_depth: true }
+    View {
+        camera,
+        t: 4.3,
+        background: [0.2, 0.4, 0.1],
+        near: 0.2,
+        mip,
+        period: 9.0,
+        with_depth: true,
+    }
 }
 
 fn weights(seed: u64, pixels: usize) -> Vec<[f64; CHANNELS]> {
     let mut rng = CounterRng::new(seed, 2, 0);
-    (0..pixels).map(|_| std::array::from_fn(|_| 2.0 * rng.uniform() - 1.0)).collect()
+    (0..pixels)
+        .map(|_| std::array::from_fn(|_| 2.0 * rng.uniform() - 1.0))
+        .collect()
 }
 
 /// `like` with other numbers, in the order of [`Splat::parameters`].
 fn rebuild(like: &Splat<f64>, values: &[f64]) -> Splat<f64> {
-    let Geometry::Gaussian(old) = &like.geometry else { panic!("only the velocity form has columns") };
+    let Geometry::Gaussian(old) = &like.geometry else {
+        panic!("only the velocity form has columns")
+    };
     let mut values = values.iter().copied();
     let mut next = || values.next().expect("as many numbers as parameters");
     let mut vector = || Vector3::from_fn(|_, _| next());
     let mean = vector();
     let shape = match old.shape {
         Shape::Isotropic { .. } => Shape::Isotropic { log_scale: next() },
-        Shape::Anisotropic { .. } => Shape::Anisotropic { log_scale: vector(), quat: Vector4::from_fn(|_, _| next()) },
+        Shape::Anisotropic { .. } => Shape::Anisotropic {
+            log_scale: vector(),
+            quat: Vector4::from_fn(|_, _| next()),
+        },
     };
     let opacity = next();
-    let coefficients = like.coefficients.iter().map(|_| std::array::from_fn(|_| next())).collect();
-    let life =
-        old.life.map(|_| Life { time_mean: next(), log_time_sd: next(), velocity: Vector3::from_fn(|_, _| next()) });
+    let coefficients = like
+        .coefficients
+        .iter()
+        .map(|_| std::array::from_fn(|_| next()))
+        .collect();
+    let life = old.life.map(|_| Life {
+        time_mean: next(),
+        log_time_sd: next(),
+        velocity: Vector3::from_fn(|_, _| next()),
+    });
     Splat {
         geometry: Geometry::Gaussian(Gaussian { mean, shape, life }),
         opacity,
@@ -55,8 +78,16 @@ fn side<C: Cutoff>(splats: &[Splat<f64>], setup: &Setup<f64>, weights: &[[f64; C
     for e in &rendered.ellipses {
         e.channels.map(|c| c > 0.0).hash(&mut hash);
     }
-    let values = rendered.image.pixels.iter().flatten().zip(weights.as_flattened());
-    Side { value: values.map(|(v, w)| v * w).sum(), decisions: hash.finish() }
+    let values = rendered
+        .image
+        .pixels
+        .iter()
+        .flatten()
+        .zip(weights.as_flattened());
+    Side {
+        value: values.map(|(v, w)| v * w).sum(),
+        decisions: hash.finish(),
+    }
 }
 
 /// Every gradient of a scene against differences; returns how many splats are in the image.
@@ -83,14 +114,20 @@ fn check_scene(name: &str, splats: &Splats, view: &View) -> usize {
             want[k].push(d.gradient[k]);
         }
     }
-    assert!(jumps * 100 <= x.iter().map(Vec::len).sum(), "{name}: {jumps} jumps");
+    assert!(
+        jumps * 100 <= x.iter().map(Vec::len).sum(),
+        "{name}: {jumps} jumps"
+    );
     for (k, (got, want)) in got.iter().zip(&want).enumerate() {
         assert_gradient(&format!("{name}: column {k}"), got, want, 1e-5);
     }
 
     let camera = |x: &[f64]| {
         let mut setup = setup;
-        setup.camera.w2c = setup.camera.w2c.retract(&Vector6::from_column_slice(&x[..6]));
+        setup.camera.w2c = setup
+            .camera
+            .w2c
+            .retract(&Vector6::from_column_slice(&x[..6]));
         setup.camera.intrinsics = Vector4::from_column_slice(&x[6..10]);
         setup.background = [x[10], x[11], x[12]];
         setup
@@ -100,9 +137,20 @@ fn check_scene(name: &str, splats: &Splats, view: &View) -> usize {
     x.extend(setup.background);
     let want = central_differences(&x, 1e-6, |x| side::<Smooth>(&splats, &camera(x), &weights));
     assert!(want.jumps.is_empty(), "{name}: camera");
-    let mut own: Vec<f64> = g.camera.tau.iter().chain(g.camera.omega.iter()).copied().collect();
+    let mut own: Vec<f64> = g
+        .camera
+        .tau
+        .iter()
+        .chain(g.camera.omega.iter())
+        .copied()
+        .collect();
     own.extend(g.camera.intrinsics.iter().chain(&g.background));
-    for (part, range) in [("tau", 0..3), ("omega", 3..6), ("intrinsics", 6..10), ("background", 10..13)] {
+    for (part, range) in [
+        ("tau", 0..3),
+        ("omega", 3..6),
+        ("intrinsics", 6..10),
+        ("background", 10..13),
+    ] {
         let want = &want.gradient[range.clone()];
         assert_gradient(&format!("{name}: {part}"), &own[range], want, 1e-5);
     }
@@ -110,19 +158,37 @@ fn check_scene(name: &str, splats: &Splats, view: &View) -> usize {
 }
 
 fn layout(isotropic: bool, sh_degree: usize, time_degree: usize) -> SplatLayout {
-    SplatLayout { isotropic, sh_degree, time_degree }
+    SplatLayout {
+        isotropic,
+        sh_degree,
+        time_degree,
+    }
 }
 
 #[test]
 fn fuzzed_cameras_and_layouts() {
     let sizes = [(17, 11), (9, 20), (16, 16), (1, 7)];
-    let layouts = [layout(false, 3, 2), layout(true, 0, 0), layout(false, 1, 1), layout(false, 0, 2)];
+    let layouts = [
+        layout(false, 3, 2),
+        layout(true, 0, 0),
+        layout(false, 1, 1),
+        layout(false, 0, 2),
+    ];
     for (seed, ((width, height), layout)) in sizes.into_iter().zip(layouts).enumerate() {
         for mip in [false, true] {
             let camera = random_camera(seed as u64, width, height);
-            let spec = SceneSpec { layout, n_static: 4, n_dynamic: 6, ..SceneSpec::default() };
+            let spec = SceneSpec {
+                layout,
+                n_static: 4,
+                n_dynamic: 6,
+                ..SceneSpec::default()
+            };
             let splats = random_splats(seed as u64, &camera, &spec);
-            let drawn = check_scene(&format!("scene {seed}, mip {mip}"), &splats, &view(camera, mip));
+            let drawn = check_scene(
+                &format!("scene {seed}, mip {mip}"),
+                &splats,
+                &view(camera, mip),
+            );
             assert!(drawn >= 5, "scene {seed}: only {drawn} splats in the image");
         }
     }
@@ -143,7 +209,11 @@ fn place(splats: &mut Splats, row: usize, p: [f32; 3], log_scale: f32, logit: f3
 }
 
 fn front_camera(width: usize, height: usize) -> Camera {
-    camera_looking_at(Intrinsics::centred(width, height, 14.0), [0.0; 3], [0.0, 0.0, 1.0])
+    camera_looking_at(
+        Intrinsics::centred(width, height, 14.0),
+        [0.0; 3],
+        [0.0, 0.0, 1.0],
+    )
 }
 
 #[test]
@@ -154,10 +224,16 @@ fn splats_at_the_near_plane() {
     place(&mut splats, 1, [-0.45, 0.1, 0.3], -2.0, 1.0);
     place(&mut splats, 2, [0.1, 0.5, 0.35], -2.0, 1.0);
     place(&mut splats, 3, [0.0, 0.0, 3.0], -1.5, 0.0);
-    assert_eq!(check_scene("near plane", &splats, &view(front_camera(15, 12), false)), 4);
+    assert_eq!(
+        check_scene("near plane", &splats, &view(front_camera(15, 12), false)),
+        4
+    );
     // not above the near plane: out
     place(&mut splats, 0, [0.02, 0.01, 0.2], -3.0, 0.5);
-    let rendered = render::<f64, Hard>(&splats_of(&splats), &Setup::new(&view(front_camera(15, 12), false)));
+    let rendered = render::<f64, Hard>(
+        &splats_of(&splats),
+        &Setup::new(&view(front_camera(15, 12), false)),
+    );
     assert!(!rendered.rows.contains(&0));
 }
 
@@ -165,10 +241,19 @@ fn splats_at_the_near_plane() {
 fn behind_an_opaque_stack_there_is_exactly_nothing() {
     let mut splats = Splats::zeros(layout(false, 0, 0), 7, 0);
     for row in 0..6 {
-        place(&mut splats, row, [0.0, 0.0, 1.0 + 0.1 * row as f32], 1.5, 8.0);
+        place(
+            &mut splats,
+            row,
+            [0.0, 0.0, 1.0 + 0.1 * row as f32],
+            1.5,
+            8.0,
+        );
     }
     place(&mut splats, 6, [0.0, 0.0, 5.0], -1.0, 3.0);
-    let (splats, setup) = (splats_of::<f64>(&splats), Setup::new(&view(front_camera(10, 10), false)));
+    let (splats, setup) = (
+        splats_of::<f64>(&splats),
+        Setup::new(&view(front_camera(10, 10), false)),
+    );
     let rendered = render::<f64, Hard>(&splats, &setup);
     assert!(rendered.rows.contains(&6));
     let g = backward::<f64, Hard>(&splats, &setup, &rendered, &weights(3, 100));
@@ -176,7 +261,13 @@ fn behind_an_opaque_stack_there_is_exactly_nothing() {
     assert!(g.splats[6].parameters().iter().all(|&v| v == 0.0));
     assert!(g.splats[0].parameters().iter().any(|&v| v != 0.0));
     // the pixels stop before their transmittance falls under the bound
-    assert!(rendered.image.transmittance.iter().all(|&t| (1e-4..1.0).contains(&t)));
+    assert!(
+        rendered
+            .image
+            .transmittance
+            .iter()
+            .all(|&t| (1e-4..1.0).contains(&t))
+    );
 }
 
 #[test]
@@ -193,7 +284,10 @@ fn one_splat_has_a_closed_form() {
         let (dx, dy) = ((i % 9) as f64 - 4.0, (i / 9) as f64 - 4.0);
         let alpha = opacity * (-(dx * dx + dy * dy) / (2.0 * variance)).exp();
         let background = f64::from(view.background[0]);
-        assert!(alpha > 1.0 / 255.0 && (pixel[4] - alpha).abs() < 1e-12, "pixel {i}");
+        assert!(
+            alpha > 1.0 / 255.0 && (pixel[4] - alpha).abs() < 1e-12,
+            "pixel {i}"
+        );
         assert!((pixel[0] - (0.5 * alpha + background * (1.0 - alpha))).abs() < 1e-12);
         assert!((pixel[3] - 2.0 * alpha).abs() < 1e-12);
     }
@@ -213,7 +307,10 @@ fn a_splat_moves_with_its_velocity_and_fades_with_its_life() {
     };
     let (peak, later) = (at(4.0), at(6.0));
     let shift = later.ellipses[0].centre.x - peak.ellipses[0].centre.x;
-    assert!((shift - 14.0 * f64::from(0.1f32) * 2.0 / 2.0).abs() < 1e-9, "{shift}");
+    assert!(
+        (shift - 14.0 * f64::from(0.1f32) * 2.0 / 2.0).abs() < 1e-9,
+        "{shift}"
+    );
     let fade = later.ellipses[0].opacity / peak.ellipses[0].opacity;
     assert!((fade - (-0.5f64).exp()).abs() < 1e-6, "{fade}");
     // 2.448 standard deviations from the middle the marginal is 0.05

@@ -1,5 +1,6 @@
-//! The small references against closed forms: optimiser, tile lists, score, the steps of compositing; the photometric loss
-//! against a direct two-dimensional convolution and central differences.
+//! The small references against closed forms: optimiser, tile lists, score, the steps of
+//! compositing; the photometric loss against a direct two-dimensional convolution and central
+//! differences.
 
 use m4_core::{
     CounterRng,
@@ -35,15 +36,35 @@ fn adam_moves_by_the_rate_under_a_constant_gradient() {
     // with bias correction both moments of a constant gradient are exact from the first step on
     let (mut x, mut m, mut v) = ([1.0f64; 3], [0.0; 3], [0.0; 3]);
     for count in 1..=20 {
-        step(&mut x, &[3e-7, -4.0, 9.0], &mut m, &mut v, &[1, 1, 0], &[count; 3], 0.01, &AdamParams::default());
+        step(
+            &mut x,
+            &[3e-7, -4.0, 9.0],
+            &mut m,
+            &mut v,
+            &[1, 1, 0],
+            &[count; 3],
+            0.01,
+            &AdamParams::default(),
+        );
     }
-    assert!((x[0] - 0.8).abs() < 1e-9 && (x[1] - 1.2).abs() < 1e-12, "{x:?}");
-    assert_eq!((x[2], m[2], v[2]), (1.0, 0.0, 0.0), "a row that was not touched moved");
+    assert!(
+        (x[0] - 0.8).abs() < 1e-9 && (x[1] - 1.2).abs() < 1e-12,
+        "{x:?}"
+    );
+    assert_eq!(
+        (x[2], m[2], v[2]),
+        (1.0, 0.0, 0.0),
+        "a row that was not touched moved"
+    );
 }
 
 #[test]
 fn adam_follows_the_published_recursion() {
-    let params = AdamParams { beta1: 0.5, beta2: 0.75, epsilon: 0.0 };
+    let params = AdamParams {
+        beta1: 0.5,
+        beta2: 0.75,
+        epsilon: 0.0,
+    };
     let (mut x, mut m, mut v) = ([0.0], [0.0], [0.0]);
     step(&mut x, &[2.0], &mut m, &mut v, &[1], &[1], 1.0, &params);
     assert_eq!((x[0], m[0], v[0]), (-1.0, 1.0, 1.0));
@@ -67,12 +88,22 @@ fn a_disc_reaches_the_tiles_within_its_radius() {
                 at.clamp(low as f64, high as f64)
             };
             // centre and radius are such that the nearest pixel of each tile decides
-            let d = Vector2::new(near(20.0, column, width) - 20.0, near(12.0, row, height) - 12.0);
-            assert_eq!(got.contains(&(column, row)), d.norm() <= radius, "tile {column}, {row}");
+            let d = Vector2::new(
+                near(20.0, column, width) - 20.0,
+                near(12.0, row, height) - 12.0,
+            );
+            assert_eq!(
+                got.contains(&(column, row)),
+                d.norm() <= radius,
+                "tile {column}, {row}"
+            );
         }
     }
     assert!(tiles(&disc(-30.0, 12.0, 3.0, 0.5), width, height).is_empty());
-    assert!(tiles(&disc(20.0, 12.0, 3.0, 0.0039), width, height).is_empty(), "fainter than 1/255");
+    assert!(
+        tiles(&disc(20.0, 12.0, 3.0, 0.0039), width, height).is_empty(),
+        "fainter than 1/255"
+    );
 }
 
 #[test]
@@ -132,7 +163,9 @@ fn a_score_sums_the_pixels_that_a_splat_is_composited_on() {
     assert!((got[0] - within(reach(0.5))).abs() < 1e-9, "{got:?}");
     assert!((got[1] - 0.25 * within(reach(2.0))).abs() < 1e-9, "{got:?}");
     // the middle of the sum is hidden once the stack in front is opaque
-    let stack = [splats[1], splats[1], splats[1], splats[1], splats[1], splats[0]];
+    let stack = [
+        splats[1], splats[1], splats[1], splats[1], splats[1], splats[0],
+    ];
     let got = score(&stack, &[1.0; 6], width, &weight);
     assert!(got[5] < within(reach(0.5)) && got[5] >= 0.0, "{got:?}");
 }
@@ -142,11 +175,15 @@ fn plane(index: u64, n: usize) -> Vec<f64> {
     (0..n).map(|_| rng.uniform()).collect()
 }
 
-/// SSIM as Wang et al. write it: a sum over the whole two-dimensional window at each pixel, zeros outside the image.
+/// SSIM as Wang et al. write it: a sum over the whole two-dimensional window at each pixel, zeros
+/// outside the image.
 fn direct_ssim(x: &[f64], y: &[f64], width: usize, height: usize) -> f64 {
     let half = (WINDOW / 2) as isize;
-    let raw = |i: isize, j: isize| (-((i * i + j * j) as f64) / (2.0 * WINDOW_SD * WINDOW_SD)).exp();
-    let norm: f64 = (-half..=half).flat_map(|i| (-half..=half).map(move |j| raw(i, j))).sum();
+    let raw =
+        |i: isize, j: isize| (-((i * i + j * j) as f64) / (2.0 * WINDOW_SD * WINDOW_SD)).exp();
+    let norm: f64 = (-half..=half)
+        .flat_map(|i| (-half..=half).map(move |j| raw(i, j)))
+        .sum();
     let at = |p: &[f64], u: isize, v: isize| {
         if u < 0 || v < 0 || u >= width as isize || v >= height as isize {
             0.0
@@ -182,7 +219,10 @@ fn ssim_is_the_direct_convolution() {
         let (x, y) = (plane(0, width * height), plane(1, width * height));
         let (got, _) = ssim(&x, &y, width, height);
         let want = direct_ssim(&x, &y, width, height);
-        assert!((got - want).abs() < 1e-13, "{width} x {height}: {got} where {want} was expected");
+        assert!(
+            (got - want).abs() < 1e-13,
+            "{width} x {height}: {got} where {want} was expected"
+        );
     }
 }
 
@@ -203,7 +243,13 @@ fn gradient_matches_central_differences() {
             let split = |p: &[f64]| [p[..n].to_vec(), p[n..2 * n].to_vec(), p[2 * n..].to_vec()];
             let loss = |p: &[f64]| {
                 let (x, y) = (split(p), split(&y));
-                photometric([&x[0], &x[1], &x[2]], [&y[0], &y[1], &y[2]], width, height, lambda)
+                photometric(
+                    [&x[0], &x[1], &x[2]],
+                    [&y[0], &y[1], &y[2]],
+                    width,
+                    height,
+                    lambda,
+                )
             };
             let x = plane(4, 3 * n);
             let want = central_differences(&x, 1e-6, |x| loss(x).0);

@@ -13,7 +13,10 @@ use m4_kernels::{
     project::reference::{Pinhole, Projected, project, project_vjp},
     reference::{expose, expose_vjp},
     shade::reference::{Sight, shade, shade_vjp},
-    slice::reference::{Gaussian, Life, RotorGaussian, Shape, Sliced, slice, slice_rotor, slice_rotor_vjp, slice_vjp},
+    slice::reference::{
+        Gaussian, Life, RotorGaussian, Shape, Sliced, slice, slice_rotor, slice_rotor_vjp,
+        slice_vjp,
+    },
 };
 use m4_testkit::{assert_gradient, central_differences};
 
@@ -33,7 +36,14 @@ fn symmetric(v: &[f64]) -> Matrix3<f64> {
 /// The gradient with respect to the six numbers of [`symmetric`].
 fn symmetric_vjp(g: &Matrix3<f64>) -> [f64; 6] {
     let at = |i, j| g[(i, j)] + g[(j, i)];
-    [g[(0, 0)], at(0, 1), at(0, 2), g[(1, 1)], at(1, 2), g[(2, 2)]]
+    [
+        g[(0, 0)],
+        at(0, 1),
+        at(0, 2),
+        g[(1, 1)],
+        at(1, 2),
+        g[(2, 2)],
+    ]
 }
 
 fn check(what: &str, got: &[f64], x: &[f64], f: impl FnMut(&[f64]) -> f64) {
@@ -43,7 +53,11 @@ fn check(what: &str, got: &[f64], x: &[f64], f: impl FnMut(&[f64]) -> f64) {
 
 fn sliced_weights(index: u64) -> Sliced<f64> {
     let w = noise(1, index, 10);
-    Sliced { mean: Vector3::new(w[0], w[1], w[2]), covariance: symmetric(&w[3..9]), marginal: w[9] }
+    Sliced {
+        mean: Vector3::new(w[0], w[1], w[2]),
+        covariance: symmetric(&w[3..9]),
+        marginal: w[9],
+    }
 }
 
 fn weigh(s: &Sliced<f64>, w: &Sliced<f64>) -> f64 {
@@ -54,7 +68,10 @@ fn gaussian(v: &[f64], isotropic: bool, dynamic: bool) -> Gaussian<f64> {
     let shape = if isotropic {
         Shape::Isotropic { log_scale: v[3] }
     } else {
-        Shape::Anisotropic { log_scale: Vector3::new(v[3], v[4], v[5]), quat: Vector4::new(v[6], v[7], v[8], v[9]) }
+        Shape::Anisotropic {
+            log_scale: Vector3::new(v[3], v[4], v[5]),
+            quat: Vector4::new(v[6], v[7], v[8], v[9]),
+        }
     };
     let at = if isotropic { 4 } else { 10 };
     Gaussian {
@@ -88,7 +105,9 @@ fn slice_velocity_form() {
             let n = 3 + if isotropic { 1 } else { 7 } + if dynamic { 5 } else { 0 };
             let (x, w, t) = (noise(2, index, n), sliced_weights(index), 0.7);
             let got = slice_vjp(&gaussian(&x, isotropic, dynamic), t, &w);
-            check("slice", &gaussian_values(&got), &x, |x| weigh(&slice(&gaussian(x, isotropic, dynamic), t), &w));
+            check("slice", &gaussian_values(&got), &x, |x| {
+                weigh(&slice(&gaussian(x, isotropic, dynamic), t), &w)
+            });
         }
     }
 }
@@ -107,8 +126,15 @@ fn slice_rotor_form() {
         let got = slice_rotor_vjp(&rotor(&x), t, &w);
         let mut flat: Vec<f64> = got.mean.iter().copied().collect();
         flat.push(got.time_mean);
-        flat.extend(got.log_scale.iter().chain(got.left.iter()).chain(got.right.iter()));
-        check("slice_rotor", &flat, &x, |x| weigh(&slice_rotor(&rotor(x), t), &w));
+        flat.extend(
+            got.log_scale
+                .iter()
+                .chain(got.left.iter())
+                .chain(got.right.iter()),
+        );
+        check("slice_rotor", &flat, &x, |x| {
+            weigh(&slice_rotor(&rotor(x), t), &w)
+        });
     }
 }
 
@@ -123,13 +149,26 @@ fn project_all_inputs() {
         }
     };
     // inside, and past the clamp on each side
-    let means = [[0.2, -0.3, 2.0], [1.9, 0.1, 2.2], [-1.8, 0.2, 1.5], [0.1, 1.7, 1.8], [1.6, -1.9, 1.6]];
+    let means = [
+        [0.2, -0.3, 2.0],
+        [1.9, 0.1, 2.2],
+        [-1.8, 0.2, 1.5],
+        [0.1, 1.7, 1.8],
+        [1.6, -1.9, 1.6],
+    ];
     for (index, mean) in means.iter().enumerate() {
         for mip in [false, true] {
             let b = symmetric(&noise(4, index as u64, 6));
             let s = b * b.transpose() * 0.02 + Matrix3::from_diagonal_element(0.003);
             let mut x = mean.to_vec();
-            x.extend([s[(0, 0)], s[(0, 1)], s[(0, 2)], s[(1, 1)], s[(1, 2)], s[(2, 2)]]);
+            x.extend([
+                s[(0, 0)],
+                s[(0, 1)],
+                s[(0, 2)],
+                s[(1, 1)],
+                s[(1, 2)],
+                s[(2, 2)],
+            ]);
             x.extend([0.0; 6]);
             x.extend([30.0, 33.0, 12.0, 9.0]);
             let w = noise(5, index as u64, 7);
@@ -161,14 +200,23 @@ fn project_all_inputs() {
                 ("covariance", 3..9, symmetric_vjp(&g.covariance).to_vec()),
                 ("tau", 9..12, g.camera.tau.as_slice().to_vec()),
                 ("omega", 12..15, g.camera.omega.as_slice().to_vec()),
-                ("intrinsics", 15..19, g.camera.intrinsics.as_slice().to_vec()),
+                (
+                    "intrinsics",
+                    15..19,
+                    g.camera.intrinsics.as_slice().to_vec(),
+                ),
             ];
             for (kind, range, got) in groups {
-                check(&format!("{name}: {kind}"), &got, &x[range.clone()], |part| {
-                    let mut x = x.clone();
-                    x[range.clone()].copy_from_slice(part);
-                    loss(&x)
-                });
+                check(
+                    &format!("{name}: {kind}"),
+                    &got,
+                    &x[range.clone()],
+                    |part| {
+                        let mut x = x.clone();
+                        x[range.clone()].copy_from_slice(part);
+                        loss(&x)
+                    },
+                );
             }
         }
     }
@@ -185,7 +233,16 @@ fn project_leaves_out_what_is_not_in_front() {
     for z in [0.2, 0.0, -1.0, f64::NAN] {
         assert!(project(&Vector3::new(0.0, 0.0, z), &covariance, &camera, 0.2, false).is_none());
     }
-    assert!(project(&Vector3::new(0.0, 0.0, 0.2001), &covariance, &camera, 0.2, false).is_some());
+    assert!(
+        project(
+            &Vector3::new(0.0, 0.0, 0.2001),
+            &covariance,
+            &camera,
+            0.2,
+            false
+        )
+        .is_some()
+    );
 }
 
 #[test]
@@ -200,7 +257,12 @@ fn a_splat_seen_edge_on_has_a_finite_gradient_with_the_mip_filter() {
     let p = project(&mean, &flat, &camera, 0.2, true).unwrap();
     assert_eq!(p.compensation, 0.0);
     let g = project_vjp(&mean, &flat, &camera, true, &p);
-    assert!(g.mean.iter().chain(g.covariance.iter()).all(|v| v.is_finite()));
+    assert!(
+        g.mean
+            .iter()
+            .chain(g.covariance.iter())
+            .all(|v| v.is_finite())
+    );
 }
 
 #[test]
@@ -215,7 +277,8 @@ fn shade_every_degree() {
             let w = noise(7, index, 3);
             let weights = [w[0], w[1], w[2]];
             let parts = |x: &[f64]| {
-                let coefficients: Vec<[f64; 3]> = x[..n].chunks(3).map(|c| [c[0], c[1], c[2]]).collect();
+                let coefficients: Vec<[f64; 3]> =
+                    x[..n].chunks(3).map(|c| [c[0], c[1], c[2]]).collect();
                 let sight = Sight {
                     offset: Vector3::new(x[n], x[n + 1], x[n + 2] + 2.0),
                     dt: 0.4 - x[n + 3],
@@ -240,7 +303,12 @@ fn shade_every_degree() {
 
 #[test]
 fn a_dark_channel_has_no_gradient() {
-    let sight = Sight { offset: Vector3::z(), dt: 0.0, period: 1.0, sh_terms: 1 };
+    let sight = Sight {
+        offset: Vector3::z(),
+        dt: 0.0,
+        period: 1.0,
+        sh_terms: 1,
+    };
     let coefficients = [[-3.0, 0.0, 1.0]];
     assert_eq!(shade(&coefficients, &sight)[0], 0.0);
     let g = shade_vjp(&coefficients, &sight, &[1.0; 3]);
@@ -278,7 +346,10 @@ fn blend_all_inputs() {
         let split = n * PER_SPLAT;
         let background = |x: &[f64]| [x[split], x[split + 1], x[split + 2]];
         let w = noise(9, index, width * height * CHANNELS);
-        let weights: Vec<[f64; CHANNELS]> = w.chunks(CHANNELS).map(|c| std::array::from_fn(|k| c[k])).collect();
+        let weights: Vec<[f64; CHANNELS]> = w
+            .chunks(CHANNELS)
+            .map(|c| std::array::from_fn(|k| c[k]))
+            .collect();
         let splats = ellipses(&x[..split]);
         let image = blend::<f64, Smooth>(&splats, width, height, &background(&x));
         for (pixel, t) in image.pixels.iter().zip(&image.transmittance) {
@@ -288,13 +359,24 @@ fn blend_all_inputs() {
         let mut got = Vec::new();
         for s in &g.splats {
             got.extend(s.centre.iter());
-            got.extend([s.conic[(0, 0)], s.conic[(0, 1)] + s.conic[(1, 0)], s.conic[(1, 1)], s.opacity]);
+            got.extend([
+                s.conic[(0, 0)],
+                s.conic[(0, 1)] + s.conic[(1, 0)],
+                s.conic[(1, 1)],
+                s.opacity,
+            ]);
             got.extend(s.channels);
         }
         got.extend(g.background);
         check("blend", &got, &x, |x| {
             let image = blend::<f64, Smooth>(&ellipses(&x[..split]), width, height, &background(x));
-            image.pixels.iter().flatten().zip(&w).map(|(v, w)| v * w).sum()
+            image
+                .pixels
+                .iter()
+                .flatten()
+                .zip(&w)
+                .map(|(v, w)| v * w)
+                .sum()
         });
     }
 }
@@ -306,18 +388,29 @@ fn expose_pixels_and_matrix() {
     let w = noise(11, 0, 3 * n);
     let weights: Vec<[f64; 3]> = w.chunks(3).map(|c| [c[0], c[1], c[2]]).collect();
     let parts = |x: &[f64]| {
-        let pixels: Vec<[f64; CHANNELS]> =
-            x[..n * CHANNELS].chunks(CHANNELS).map(|c| std::array::from_fn(|k| c[k])).collect();
+        let pixels: Vec<[f64; CHANNELS]> = x[..n * CHANNELS]
+            .chunks(CHANNELS)
+            .map(|c| std::array::from_fn(|k| c[k]))
+            .collect();
         let m = &x[n * CHANNELS..];
-        let exposure: [[f64; 4]; 3] = std::array::from_fn(|i| std::array::from_fn(|j| m[4 * i + j]));
+        let exposure: [[f64; 4]; 3] =
+            std::array::from_fn(|i| std::array::from_fn(|j| m[4 * i + j]));
         (pixels, exposure)
     };
     let (pixels, exposure) = parts(&x);
     let (d_pixels, d_exposure) = expose_vjp(&pixels, &exposure, &weights);
-    let mut got: Vec<f64> = d_pixels.iter().flat_map(|p| [p[0], p[1], p[2], 0.0, 0.0]).collect();
+    let mut got: Vec<f64> = d_pixels
+        .iter()
+        .flat_map(|p| [p[0], p[1], p[2], 0.0, 0.0])
+        .collect();
     got.extend(d_exposure.as_flattened());
     check("expose", &got, &x, |x| {
         let (pixels, exposure) = parts(x);
-        expose(&pixels, &exposure).iter().flatten().zip(&w).map(|(v, w)| v * w).sum()
+        expose(&pixels, &exposure)
+            .iter()
+            .flatten()
+            .zip(&w)
+            .map(|(v, w)| v * w)
+            .sum()
     });
 }

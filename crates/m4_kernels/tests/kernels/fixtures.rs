@@ -1,5 +1,5 @@
-//! The reference against the float64 oracle: `fixtures/gradients`, made by `oracles/check_4dgs_grads.py`, in the types of the
-//! reference.
+//! The reference against the float64 oracle: `fixtures/gradients`, made by
+//! `oracles/check_4dgs_grads.py`, in the types of the reference.
 
 use m4_core::{
     Real, Se3,
@@ -16,7 +16,9 @@ use m4_kernels::{
     reference::{Geometry, SceneGradient, Setup, Splat, backward, expose, expose_vjp, render},
     slice::reference::{Gaussian, Life, RotorGaussian, Shape},
 };
-use m4_testkit::{FixtureSplat, GradientCase, GradientFixtures, assert_gradient, gradient_fixtures};
+use m4_testkit::{
+    FixtureSplat, GradientCase, GradientFixtures, assert_gradient, gradient_fixtures,
+};
 
 #[test]
 fn constants_are_those_of_the_oracle() {
@@ -30,7 +32,10 @@ fn constants_are_those_of_the_oracle() {
         let limits = project::jacobian_limits(&camera(case).intrinsics);
         let [x, y] = case.camera.tan.map(|tan| fixtures.jacobian_clamp * tan);
         for (got, want) in limits.into_iter().zip([-x, x, -y, y]) {
-            assert!((got - want).abs() < 1e-14, "{got} where {want} was expected");
+            assert!(
+                (got - want).abs() < 1e-14,
+                "{got} where {want} was expected"
+            );
         }
     }
 }
@@ -38,7 +43,10 @@ fn constants_are_those_of_the_oracle() {
 fn check<T: Real>(case: &GradientCase, run: &Run<T>, tolerance: f64) {
     let name = case.name();
     let want: Vec<_> = case.grad_splats.iter().map(splat::<f64>).collect();
-    for ((kind, got), (want_kind, want)) in by_name(&run.gradient.splats).into_iter().zip(by_name(&want)) {
+    for ((kind, got), (want_kind, want)) in by_name(&run.gradient.splats)
+        .into_iter()
+        .zip(by_name(&want))
+    {
         assert_eq!((kind, got.len()), (want_kind, want.len()));
         if kind == "velocity" && case.model == "isotropic" {
             // the oracle's isotropic model is static: nothing to compare with
@@ -50,12 +58,37 @@ fn check<T: Real>(case: &GradientCase, run: &Run<T>, tolerance: f64) {
         let got: Vec<f64> = got.iter().map(|v| v.f64()).collect();
         assert_gradient(&format!("{name}: {what}"), &got, want, tolerance);
     };
-    check("tau", run.gradient.camera.tau.as_slice(), &case.grad_translation);
-    check("omega", run.gradient.camera.omega.as_slice(), &case.grad_rotation);
-    check("intrinsics", run.gradient.camera.intrinsics.as_slice(), &case.grad_intrinsics);
-    check("exposure", run.loss.exposure.as_flattened(), case.grad_exposure.as_flattened());
-    check("background", &run.gradient.background, &case.grad_background);
-    let means: Vec<T> = run.gradient.means2d.iter().flat_map(|m| [m.x, m.y]).collect();
+    check(
+        "tau",
+        run.gradient.camera.tau.as_slice(),
+        &case.grad_translation,
+    );
+    check(
+        "omega",
+        run.gradient.camera.omega.as_slice(),
+        &case.grad_rotation,
+    );
+    check(
+        "intrinsics",
+        run.gradient.camera.intrinsics.as_slice(),
+        &case.grad_intrinsics,
+    );
+    check(
+        "exposure",
+        run.loss.exposure.as_flattened(),
+        case.grad_exposure.as_flattened(),
+    );
+    check(
+        "background",
+        &run.gradient.background,
+        &case.grad_background,
+    );
+    let means: Vec<T> = run
+        .gradient
+        .means2d
+        .iter()
+        .flat_map(|m| [m.x, m.y])
+        .collect();
     check("means2d", &means, case.grad_means2d.as_flattened());
 }
 
@@ -67,7 +100,11 @@ fn check_all<T: Real>(loss_tolerance: f64, tolerance: f64) {
         let off = (run.loss.value.f64() / case.loss - 1.0).abs();
         assert!(off < loss_tolerance, "{}: loss off by {off:e}", case.name());
         check(case, &run, tolerance);
-        assert!(run.gradient.touched.iter().filter(|&&t| t).count() >= 5, "{}", case.name());
+        assert!(
+            run.gradient.touched.iter().filter(|&&t| t).count() >= 5,
+            "{}",
+            case.name()
+        );
     }
 }
 
@@ -83,13 +120,26 @@ fn rotor_and_velocity_form_render_the_same_image() {
     let fixtures = gradient_fixtures();
     for case in fixtures.cases.iter().filter(|c| c.model == "rotor") {
         let rotor: Vec<_> = case.splats.iter().map(splat::<f64>).collect();
-        let velocity: Vec<_> = case.splats.iter().map(|s| splat::<f64>(&converted(s))).collect();
+        let velocity: Vec<_> = case
+            .splats
+            .iter()
+            .map(|s| splat::<f64>(&converted(s)))
+            .collect();
         for t in [0.0, 0.2, 0.55, 0.8, 1.1] {
-            let setup = Setup { t, ..setup::<f64>(case) };
+            let setup = Setup {
+                t,
+                ..setup::<f64>(case)
+            };
             let [a, b] = [&rotor, &velocity].map(|splats| render::<f64, Hard>(splats, &setup));
             assert_eq!(a.rows, b.rows, "{} at {t}", case.name());
             assert!(a.rows.len() > 3, "{} at {t}", case.name());
-            for (x, y) in a.image.pixels.as_flattened().iter().zip(b.image.pixels.as_flattened()) {
+            for (x, y) in a
+                .image
+                .pixels
+                .as_flattened()
+                .iter()
+                .zip(b.image.pixels.as_flattened())
+            {
                 assert!((x - y).abs() < 1e-12, "{} at {t}: {x} and {y}", case.name());
             }
         }
@@ -141,17 +191,27 @@ impl<T: Real> Target<T> {
             height,
             self.lambda,
         );
-        let d_exposed: Vec<[T; 3]> = (0..pixels.len()).map(|i| std::array::from_fn(|c| d_rgb[c][i])).collect();
+        let d_exposed: Vec<[T; 3]> = (0..pixels.len())
+            .map(|i| std::array::from_fn(|c| d_rgb[c][i]))
+            .collect();
         let (d_colour, d_exposure) = expose_vjp(pixels, exposure, &d_exposed);
         let share = self.depth_weight / T::of(pixels.len() as f64);
-        let d_pixels = pixels.iter().zip(&d_colour).zip(&self.depth).map(|((p, d), &z)| {
-            let residual = p[3] - z * p[4];
-            value += share * residual * residual;
-            let d_depth = T::of(2.0) * share * residual;
-            [d[0], d[1], d[2], d_depth, -d_depth * z]
-        });
+        let d_pixels = pixels
+            .iter()
+            .zip(&d_colour)
+            .zip(&self.depth)
+            .map(|((p, d), &z)| {
+                let residual = p[3] - z * p[4];
+                value += share * residual * residual;
+                let d_depth = T::of(2.0) * share * residual;
+                [d[0], d[1], d[2], d_depth, -d_depth * z]
+            });
         let d_pixels = d_pixels.collect();
-        Loss { value, pixels: d_pixels, exposure: d_exposure }
+        Loss {
+            value,
+            pixels: d_pixels,
+            exposure: d_exposure,
+        }
     }
 }
 
@@ -169,15 +229,20 @@ fn geometry<T: Real>(splat: &FixtureSplat) -> Geometry<T> {
         });
     }
     let shape = match splat.q {
-        Some(q) => {
-            Shape::Anisotropic { log_scale: Vector3::new(ls(0), ls(1), ls(2)), quat: Vector4::from(q.map(T::of)) }
-        }
+        Some(q) => Shape::Anisotropic {
+            log_scale: Vector3::new(ls(0), ls(1), ls(2)),
+            quat: Vector4::from(q.map(T::of)),
+        },
         None => Shape::Isotropic { log_scale: ls(0) },
     };
     Geometry::Gaussian(Gaussian {
         mean,
         shape,
-        life: Some(Life { time_mean, log_time_sd, velocity: Vector3::from(splat.v.unwrap_or_default().map(T::of)) }),
+        life: Some(Life {
+            time_mean,
+            log_time_sd,
+            velocity: Vector3::from(splat.v.unwrap_or_default().map(T::of)),
+        }),
     })
 }
 
@@ -193,7 +258,8 @@ pub fn splat<T: Real>(splat: &FixtureSplat) -> Splat<T> {
 
 /// The rotor pair of a fixture as a quaternion and a velocity (docs/spec/optimiser.md 1.3 and 1.4).
 pub fn converted(splat: &FixtureSplat) -> FixtureSplat {
-    let [left, right] = [splat.ql, splat.qr].map(|q| Vector4::from(q.expect("the rotor model has rotors")));
+    let [left, right] =
+        [splat.ql, splat.qr].map(|q| Vector4::from(q.expect("the rotor model has rotors")));
     let log_scale = Vector4::new(splat.ls[0], splat.ls[1], splat.ls[2], splat.lst[0]);
     let axes = rotor::rotation(&left, &right) * Matrix4::from_diagonal(&log_scale.map(f64::exp));
     let joint = axes * axes.transpose();
@@ -203,7 +269,8 @@ pub fn converted(splat: &FixtureSplat) -> FixtureSplat {
     if eigen.eigenvectors.determinant() < 0.0 {
         eigen.eigenvectors.column_mut(0).neg_mut();
     }
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(eigen.eigenvectors));
+    let turn =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(eigen.eigenvectors));
     FixtureSplat {
         ls: eigen.eigenvalues.iter().map(|v| 0.5 * v.ln()).collect(),
         lst: [0.5 * w.ln()],
@@ -290,7 +357,9 @@ pub fn by_name<T: Real>(splats: &[Splat<T>]) -> Vec<(&'static str, Vec<f64>)> {
             Geometry::Gaussian(g) => {
                 put("mean", &mut g.mean.iter().copied());
                 match &g.shape {
-                    Shape::Isotropic { log_scale } => put("log_scale", &mut [*log_scale].into_iter()),
+                    Shape::Isotropic { log_scale } => {
+                        put("log_scale", &mut [*log_scale].into_iter())
+                    }
                     Shape::Anisotropic { log_scale, quat } => {
                         put("log_scale", &mut log_scale.iter().copied());
                         put("quat", &mut quat.iter().copied());

@@ -1,5 +1,5 @@
-//! Every kernel: the reference against the float64 oracle and against differences, the CPU twin against
-//! both on every SIMD level of the machine.
+//! Every kernel: the reference against the float64 oracle and against differences, the CPU twin
+//! against both on every SIMD level of the machine.
 
 mod twin;
 

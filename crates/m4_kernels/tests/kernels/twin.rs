@@ -9,7 +9,11 @@ use m4_kernels::{
 use m4_testkit::{Flips, assert_gradient, assert_image};
 
 /// The levels that an x86-64 machine may have; on others the list of the machine is all there is.
-const WANTED: &[&str] = if cfg!(target_arch = "x86_64") { &["sse2", "avx2", "avx512"] } else { &[] };
+const WANTED: &[&str] = if cfg!(target_arch = "x86_64") {
+    &["sse2", "avx2", "avx512"]
+} else {
+    &[]
+};
 
 /// Runs a test on every SIMD level of the machine.
 pub fn every_level(test: impl FnMut(SimdLevel)) {
@@ -30,7 +34,15 @@ pub const COLUMNS: [Column; 8] = [
 
 /// A frame in the middle of a clip of ten.
 pub fn view(camera: Camera) -> View {
-    View { camera, t: 4.3, background: [0.2, 0.4, 0.1], near: 0.2, mip: false, period: 9.0, with_depth: true }
+    View {
+        camera,
+        t: 4.3,
+        background: [0.2, 0.4, 0.1],
+        near: 0.2,
+        mip: false,
+        period: 9.0,
+        with_depth: true,
+    }
 }
 
 /// A random gradient of every colour plane.
@@ -45,7 +57,17 @@ pub fn frame_gradient(seed: u64, view: &View) -> [Vec<f32>; 3] {
 
 /// The same, pixel by pixel; 0 for depth and alpha.
 fn per_pixel(g: &[Vec<f32>; 3]) -> Vec<[f64; CHANNELS]> {
-    (0..g[0].len()).map(|i| [f64::from(g[0][i]), f64::from(g[1][i]), f64::from(g[2][i]), 0.0, 0.0]).collect()
+    (0..g[0].len())
+        .map(|i| {
+            [
+                f64::from(g[0][i]),
+                f64::from(g[1][i]),
+                f64::from(g[2][i]),
+                0.0,
+                0.0,
+            ]
+        })
+        .collect()
 }
 
 /// The reference in f64.
@@ -59,7 +81,11 @@ impl Expected {
     pub fn new(splats: &Splats, view: &View) -> Self {
         let (splats, setup) = (splats_of::<f64>(splats), Setup::new(view));
         let rendered = render::<f64, Hard>(&splats, &setup);
-        Self { splats, setup, rendered }
+        Self {
+            splats,
+            setup,
+            rendered,
+        }
     }
 
     pub fn gradient(&self, g: &[Vec<f32>; 3]) -> SceneGradient<f64> {
@@ -75,19 +101,45 @@ impl Expected {
 /// Of colours and transmittance, where no contribution is on the other side of the cut-off.
 const PIXEL_TOLERANCE: f64 = 5e-5;
 
-/// Fails unless the frame is that of the reference, but for pixels where f32 puts one contribution on
-/// the other side of the cut-off.
+/// Fails unless the frame is that of the reference, but for pixels where f32 puts one contribution
+/// on the other side of the cut-off.
 pub fn assert_frame(name: &str, got: &Frame, want: &Rendered<f64>) {
-    let bounds = Flips { tolerance: PIXEL_TOLERANCE, step: 0.02, share: 0.005 };
+    let bounds = Flips {
+        tolerance: PIXEL_TOLERANCE,
+        step: 0.02,
+        share: 0.005,
+    };
     let channel = |c: usize| -> Vec<f64> { want.image.pixels.iter().map(|p| p[c]).collect() };
-    assert_eq!((got.width, got.height), (want.image.width, want.image.height), "{name}");
+    assert_eq!(
+        (got.width, got.height),
+        (want.image.width, want.image.height),
+        "{name}"
+    );
     for c in 0..3 {
-        assert_image(&format!("{name}: colour {c}"), &got.rgb[c], &channel(c), bounds);
+        assert_image(
+            &format!("{name}: colour {c}"),
+            &got.rgb[c],
+            &channel(c),
+            bounds,
+        );
     }
-    assert_image(&format!("{name}: transmittance"), &got.transmittance, &want.image.transmittance, bounds);
+    assert_image(
+        &format!("{name}: transmittance"),
+        &got.transmittance,
+        &want.image.transmittance,
+        bounds,
+    );
     if !got.depth.is_empty() {
-        let far = want.ellipses.iter().map(|e| e.channels[3]).fold(1.0, f64::max);
-        let bounds = Flips { tolerance: bounds.tolerance * far, step: bounds.step * far, ..bounds };
+        let far = want
+            .ellipses
+            .iter()
+            .map(|e| e.channels[3])
+            .fold(1.0, f64::max);
+        let bounds = Flips {
+            tolerance: bounds.tolerance * far,
+            step: bounds.step * far,
+            ..bounds
+        };
         assert_image(&format!("{name}: depth"), &got.depth, &channel(3), bounds);
     }
 }
@@ -107,23 +159,42 @@ pub fn parameter(gradients: &Gradients, splats: &Splats, column: Column) -> Vec<
 }
 
 /// Fails unless every gradient is within `tolerance` of the reference.
-pub fn assert_gradients(name: &str, got: &Gradients, want: &SceneGradient<f64>, splats: &Splats, tolerance: f64) {
+pub fn assert_gradients(
+    name: &str,
+    got: &Gradients,
+    want: &SceneGradient<f64>,
+    splats: &Splats,
+    tolerance: f64,
+) {
     let check = |what: &str, got: &[f64], want: &[f64]| {
         assert_gradient(&format!("{name}: {what}"), got, want, tolerance);
     };
     let columns = want.columns(splats.layout(), splats.n_static());
     for column in COLUMNS {
         let want = columns[splats.layout().range(column)].concat();
-        check(&format!("{column:?}"), &parameter(got, splats, column), &want);
+        check(
+            &format!("{column:?}"),
+            &parameter(got, splats, column),
+            &want,
+        );
     }
     let camera = want.camera.to_camera_gradient();
     check("tau", &got.camera.tau, &camera.tau);
     check("omega", &got.camera.omega, &camera.omega);
     check("intrinsics", &got.camera.intrinsics, &camera.intrinsics);
-    check("background", &got.background.map(f64::from), &want.background);
+    check(
+        "background",
+        &got.background.map(f64::from),
+        &want.background,
+    );
     // a splat that grazes one pixel may fall on either side of the cut-off
-    let off = (0..splats.n()).filter(|&i| (got.touched[i] != 0) != want.touched[i]).count();
-    assert!(off <= 1 + splats.n() / 100, "{name}: {off} rows of `touched` differ");
+    let off = (0..splats.n())
+        .filter(|&i| (got.touched[i] != 0) != want.touched[i])
+        .count();
+    assert!(
+        off <= 1 + splats.n() / 100,
+        "{name}: {off} rows of `touched` differ"
+    );
 }
 
 /// Frame, gradients and score of one scene on one level against the reference.
@@ -134,8 +205,14 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     let frame = renderer.render(splats, view);
     assert_frame(&name, frame, &expected.rendered);
     let mut g = frame_gradient(5, view);
-    // the few pixels where f32 puts a contribution on the other side of the cut-off have another gradient
-    for (i, (&got, want)) in frame.transmittance.iter().zip(&expected.rendered.image.transmittance).enumerate() {
+    // the few pixels where f32 puts a contribution on the other side of the cut-off have another
+    // gradient
+    for (i, (&got, want)) in frame
+        .transmittance
+        .iter()
+        .zip(&expected.rendered.image.transmittance)
+        .enumerate()
+    {
         if (f64::from(got) - want).abs() > PIXEL_TOLERANCE {
             g.iter_mut().for_each(|plane| plane[i] = 0.0);
         }
@@ -151,17 +228,25 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     assert_score(&name, &score, &expected.score(&weight));
 }
 
-/// Fails unless every score is that of the reference, but for a few splats of which f32 puts one pixel, of a weight of at most
-/// 1, on the other side of the cut-off: measured at most 1 of 117 on every level. A twin that loses rims is off in most splats.
+/// Fails unless every score is that of the reference, but for a few splats of which f32 puts one
+/// pixel, of a weight of at most 1, on the other side of the cut-off: measured at most 1 of 117 on
+/// every level. A twin that loses rims is off in most splats.
 fn assert_score(name: &str, got: &[f32], want: &[f64]) {
     let mut flips = 0;
     for (i, (&got, &want)) in got.iter().zip(want).enumerate() {
         let off = (f64::from(got) - want).abs();
         let rounding = 1e-5 * (1.0 + want);
         // written so that a NaN fails
-        assert!(off <= 1.0 + rounding, "{name}: score {i} is {got} where {want} was expected");
+        assert!(
+            off <= 1.0 + rounding,
+            "{name}: score {i} is {got} where {want} was expected"
+        );
         flips += usize::from(off > rounding);
     }
     let allowed = 1 + want.len() / 100;
-    assert!(flips <= allowed, "{name}: {flips} of {} scores differ, {allowed} may", want.len());
+    assert!(
+        flips <= allowed,
+        "{name}: {flips} of {} scores differ, {allowed} may",
+        want.len()
+    );
 }

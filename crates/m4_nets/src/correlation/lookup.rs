@@ -1,5 +1,5 @@
-//! Lookups: on the processor the scores that a window touches; elsewhere all scores of some rows of the source at a time, of
-//! which those in the windows are gathered.
+//! Lookups: on the processor the scores that a window touches; elsewhere all scores of some rows of
+//! the source at a time, of which those in the windows are gathered.
 
 use super::{Pyramid, Values, first_and_fraction, reach, side, taps};
 use burn_core::tensor::{DType, Int, Tensor};
@@ -11,8 +11,8 @@ const LANES: usize = 16;
 /// Neighbours in a row whose products are summed side by side.
 const RUN: usize = 4;
 
-/// [`scores`](super::scores) of `features` `[h * w][c]` (divided by 4) on a row of `w` pixels after the other, written to
-/// `out` `[h * w][taps]`; `centres` `[h * w][2]`.
+/// [`scores`](super::scores) of `features` `[h * w][c]` (divided by 4) on a row of `w` pixels after
+/// the other, written to `out` `[h * w][taps]`; `centres` `[h * w][2]`.
 pub fn window_scores(
     features: &[f32],
     c: usize,
@@ -34,13 +34,28 @@ pub fn window_scores(
 }
 
 #[inline(always)]
-fn row<S: Simd>(s: S, features: &[f32], c: usize, target: &Pyramid, centres: &[f32], radius: usize, out: &mut [f32]) {
+fn row<S: Simd>(
+    s: S,
+    features: &[f32],
+    c: usize,
+    target: &Pyramid,
+    centres: &[f32],
+    radius: usize,
+    out: &mut [f32],
+) {
     let side = side(radius);
     let mut products = vec![0.0; (side + 1) * (side + 1)];
     let pixels = out.chunks_exact_mut(taps(target.levels().len(), radius));
-    for ((out, feature), centre) in pixels.zip(features.chunks_exact(c)).zip(centres.chunks_exact(2)) {
+    for ((out, feature), centre) in pixels
+        .zip(features.chunks_exact(c))
+        .zip(centres.chunks_exact(2))
+    {
         let mut shrink = 1.0;
-        for (map, out) in target.levels().iter().zip(out.chunks_exact_mut(side * side)) {
+        for (map, out) in target
+            .levels()
+            .iter()
+            .zip(out.chunks_exact_mut(side * side))
+        {
             let [h, w, _] = map.size();
             let (x0, fx) = first_and_fraction(centre[0] * shrink, w, radius);
             let (y0, fy) = first_and_fraction(centre[1] * shrink, h, radius);
@@ -48,7 +63,11 @@ fn row<S: Simd>(s: S, features: &[f32], c: usize, target: &Pyramid, centres: &[f
             products.fill(0.0);
             if let Values::Processor(values) = map.values() {
                 let columns = overlap(x0, side + 1, w);
-                let rows = if columns.is_empty() { 0..0 } else { overlap(y0, side + 1, h) };
+                let rows = if columns.is_empty() {
+                    0..0
+                } else {
+                    overlap(y0, side + 1, h)
+                };
                 for iy in rows {
                     let y = (y0 + iy as i32) as usize;
                     let x = (x0 + columns.start as i32) as usize;
@@ -110,7 +129,12 @@ fn dots_of<S: Simd, const N: usize>(s: S, a: &[f32], values: &[f32]) -> [f32; N]
 
 /// Scores `[dx][dy]` between the whole positions of `products` `[y][x]`.
 fn blend(products: &[f32], side: usize, fx: f32, fy: f32, out: &mut [f32]) {
-    let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
+    let weights = [
+        (1.0 - fx) * (1.0 - fy),
+        fx * (1.0 - fy),
+        (1.0 - fx) * fy,
+        fx * fy,
+    ];
     for (dx, out) in out.chunks_exact_mut(side).enumerate() {
         for (dy, out) in out.iter_mut().enumerate() {
             let at = dy * (side + 1) + dx;
@@ -124,22 +148,40 @@ fn blend(products: &[f32], side: usize, fx: f32, fy: f32, out: &mut [f32]) {
 const AT_ONCE: usize = 1 << 24;
 
 /// [`scores`](super::scores) of `features` `[h, w, c]`, divided by 4.
-pub fn scores(features: Tensor<3>, target: &Pyramid, centres: Tensor<3>, radius: usize) -> Tensor<3> {
+pub fn scores(
+    features: Tensor<3>,
+    target: &Pyramid,
+    centres: Tensor<3>,
+    radius: usize,
+) -> Tensor<3> {
     let [h, w, c] = features.dims();
     let [target_h, target_w, _] = target.levels()[0].size();
     let rows = (AT_ONCE / (w * target_h * target_w).max(1)).clamp(1, h.max(1));
-    let parts = features.split(rows, 0).into_iter().zip(centres.split(rows, 0));
+    let parts = features
+        .split(rows, 0)
+        .into_iter()
+        .zip(centres.split(rows, 0));
     let parts = parts.map(|(features, centres)| {
         let n = features.dims()[0] * w;
         let features = features.reshape([n, c]);
         let centres = centres.reshape([n, 2]);
         let levels = (0..).zip(target.levels()).map(|(level, map)| {
             let Values::Device(values) = map.values() else {
-                return features.zeros_like().narrow(1, 0, 1).repeat_dim(1, side(radius).pow(2));
+                return features
+                    .zeros_like()
+                    .narrow(1, 0, 1)
+                    .repeat_dim(1, side(radius).pow(2));
             };
             let [h, w, _] = map.size();
-            let all = features.clone().matmul(values.clone().reshape([h * w, c]).transpose());
-            windows(all, [h, w], centres.clone().div_scalar((1_u32 << level) as f32), radius)
+            let all = features
+                .clone()
+                .matmul(values.clone().reshape([h * w, c]).transpose());
+            windows(
+                all,
+                [h, w],
+                centres.clone().div_scalar((1_u32 << level) as f32),
+                radius,
+            )
         });
         Tensor::cat(levels.collect(), 1)
     });
@@ -158,7 +200,9 @@ fn windows(all: Tensor<2>, [h, w]: [usize; 2], centres: Tensor<2>, radius: usize
     let at = x.unsqueeze_dim::<3>(2) + y.mul_scalar(w as i64).unsqueeze_dim::<3>(1);
     let inside = inside_x.unsqueeze_dim::<3>(2) * inside_y.unsqueeze_dim::<3>(1);
     let dtype = all.dtype();
-    let taps = all.gather(1, at.reshape([n, wide * wide])).reshape([n, wide, wide]);
+    let taps = all
+        .gather(1, at.reshape([n, wide * wide]))
+        .reshape([n, wide, wide]);
     // in 32 bits, as positions are
     let taps = taps.cast(DType::F32) * inside;
     let mix = |taps: Tensor<3>, dim: usize, fraction: Tensor<2>| {
@@ -170,9 +214,13 @@ fn windows(all: Tensor<2>, [h, w]: [usize; 2], centres: Tensor<2>, radius: usize
     taps.reshape([n, (wide - 1) * (wide - 1)]).cast(dtype)
 }
 
-/// Along one axis, for centres `[n, 1]`: the whole positions `[n, 2 radius + 2]` that a window touches, moved inside; 1 where
-/// they were inside, else 0; the fraction `[n, 1]`.
-fn along(centre: Tensor<2>, extent: usize, radius: usize) -> (Tensor<2, Int>, Tensor<2>, Tensor<2>) {
+/// Along one axis, for centres `[n, 1]`: the whole positions `[n, 2 radius + 2]` that a window
+/// touches, moved inside; 1 where they were inside, else 0; the fraction `[n, 1]`.
+fn along(
+    centre: Tensor<2>,
+    extent: usize,
+    radius: usize,
+) -> (Tensor<2, Int>, Tensor<2>, Tensor<2>) {
     let [low, high] = reach(extent, radius);
     let outside = centre.clone().is_nan();
     let centre = centre.mask_fill(outside, low).clamp(low, high);

@@ -1,4 +1,5 @@
-//! Correlation of two feature maps, looked up around positions: what DROID's and RAFT's updates see of the images.
+//! Correlation of two feature maps, looked up around positions: what DROID's and RAFT's updates see
+//! of the images.
 //!
 //! ```text
 //! score(p, q) = f(p) . g(q) / 16
@@ -6,15 +7,17 @@
 //! lookup(p)[level][dx][dy] = bilinear score(p, position(p) / 2^level + (dx, dy)),  |dx|, |dy| <= radius, 0 outside
 //! ```
 //!
-//! - Papers: Teed and Deng, "RAFT", ECCV 2020, section 3.2, and "DROID-SLAM", NeurIPS 2021, section 3.2. Upstreams:
-//!   princeton-vl/RAFT and princeton-vl/DROID-SLAM, BSD-3.
-//! - Both divide by 16, whatever the width of the features: RAFT as `sqrt(256)`, DROID as two divisions by 4. Here each map is
-//!   divided by 4, which is exact and keeps half precision in range.
+//! - Papers: Teed and Deng, "RAFT", ECCV 2020, section 3.2, and "DROID-SLAM", NeurIPS 2021, section
+//!   3.2. Upstreams: princeton-vl/RAFT and princeton-vl/DROID-SLAM, BSD-3.
+//! - Both divide by 16, whatever the width of the features: RAFT as `sqrt(256)`, DROID as two
+//!   divisions by 4. Here each map is divided by 4, which is exact and keeps half precision in
+//!   range.
 //! - The offset in x is the slow index, as published.
 //!
-//! Positions are pixels of the maps whose centres are whole numbers. No scores of all pairs are kept: on the processor
-//! [`scores`] computes those that a window touches; elsewhere it makes them some rows of the source at a time. Pooling and
-//! the product commute, so pooled features give what pooled scores give.
+//! Positions are pixels of the maps whose centres are whole numbers. No scores of all pairs are
+//! kept: on the processor [`scores`] computes those that a window touches; elsewhere it makes them
+//! some rows of the source at a time. Pooling and the product commute, so pooled features give what
+//! pooled scores give.
 
 mod lookup;
 #[cfg(test)]
@@ -33,11 +36,17 @@ pub const fn taps(levels: usize, radius: usize) -> usize {
     levels * side(radius) * side(radius)
 }
 
-/// The scores of each pixel of `source` `[h, w, c]` around `centres` `[h, w, 2]` (x, then y; pixels of the finest level of
-/// `target`, 32 bits): `[h, w, levels * (2 radius + 1)^2]`, of which the level is the slowest index and the offset in y the
-/// fastest. A centre that is no number lies outside. Source and target are on one device and of one width; the result is
-/// in the type of their features.
-pub fn scores(source: &FeatureMap, target: &Pyramid, centres: Tensor<3>, radius: usize) -> Tensor<3> {
+/// The scores of each pixel of `source` `[h, w, c]` around `centres` `[h, w, 2]` (x, then y; pixels
+/// of the finest level of `target`, 32 bits): `[h, w, levels * (2 radius + 1)^2]`, of which the
+/// level is the slowest index and the offset in y the fastest. A centre that is no number lies
+/// outside. Source and target are on one device and of one width; the result is in the type of
+/// their features.
+pub fn scores(
+    source: &FeatureMap,
+    target: &Pyramid,
+    centres: Tensor<3>,
+    radius: usize,
+) -> Tensor<3> {
     let [h, w, c] = source.size();
     debug_assert_eq!(target.channels(), c, "maps of one width");
     match source.values() {
@@ -54,8 +63,9 @@ pub fn scores(source: &FeatureMap, target: &Pyramid, centres: Tensor<3>, radius:
     }
 }
 
-/// The first of the whole positions that a window at `centre` touches, and how far `centre` lies beyond the whole number
-/// before it. Positions so far outside of `0..extent` that no tap matters are drawn near, and so is what is no number.
+/// The first of the whole positions that a window at `centre` touches, and how far `centre` lies
+/// beyond the whole number before it. Positions so far outside of `0..extent` that no tap matters
+/// are drawn near, and so is what is no number.
 fn first_and_fraction(centre: f32, extent: usize, radius: usize) -> (i32, f32) {
     let [low, high] = reach(extent, radius);
     let centre = centre.max(low).min(high);
@@ -72,7 +82,10 @@ fn reach(extent: usize, radius: usize) -> [f32; 2] {
 const DIVISOR: f32 = 4.0;
 
 #[derive(Debug, Clone)]
-#[expect(clippy::large_enum_variant, reason = "a handful of them, each the key to megabytes")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a handful of them, each the key to megabytes"
+)]
 pub enum Values {
     /// `[h][w][c]`.
     Processor(Vec<f32>),
@@ -99,12 +112,18 @@ impl FeatureMap {
             Ok(values) => values.iter().map(|x| x / DIVISOR).collect(),
             Err(_) => data.iter::<f32>().map(|x| x / DIVISOR).collect(),
         };
-        Self { size, values: Values::Processor(values) }
+        Self {
+            size,
+            values: Values::Processor(values),
+        }
     }
 
     /// As a tensor, wherever that is.
     pub(super) fn on_device(features: Tensor<3>) -> Self {
-        Self { size: features.dims(), values: Values::Device(features.div_scalar(DIVISOR)) }
+        Self {
+            size: features.dims(),
+            values: Values::Device(features.div_scalar(DIVISOR)),
+        }
     }
 
     /// Rows, columns, channels.
@@ -153,7 +172,8 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// Of features `[h, w, c]` as a network gives them. A level without a pixel scores 0 everywhere.
+    /// Of features `[h, w, c]` as a network gives them. A level without a pixel scores 0
+    /// everywhere.
     pub fn new(features: Tensor<3>, levels: usize) -> Self {
         Self::of(FeatureMap::new(features), levels)
     }

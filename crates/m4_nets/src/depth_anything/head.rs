@@ -44,7 +44,8 @@ pub struct DepthHead {
     scratch: Scratch,
 }
 
-/// What brings the maps to their sizes. Named `0`, `1` and `3` in the checkpoint; `2` would change nothing.
+/// What brings the maps to their sizes. Named `0`, `1` and `3` in the checkpoint; `2` would change
+/// nothing.
 #[derive(Module, Debug)]
 struct ResizeLayers {
     four_times: ConvTranspose2d,
@@ -90,7 +91,10 @@ struct Residual {
 impl Residual {
     fn new(width: usize, device: &Device) -> Self {
         let square = || conv([width, width], 3, 1, true, device);
-        Self { conv1: square(), conv2: square() }
+        Self {
+            conv1: square(),
+            conv2: square(),
+        }
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
@@ -108,13 +112,15 @@ impl Fusion {
         }
     }
 
-    /// `coarse` with the level `here` (which the coarsest has not), in the size `to`, rows and columns.
+    /// `coarse` with the level `here` (which the coarsest has not), in the size `to`, rows and
+    /// columns.
     fn forward(&self, coarse: Tensor<4>, here: Option<Tensor<4>>, to: [usize; 2]) -> Tensor<4> {
         let x = match here {
             Some(here) => coarse + self.unit1.forward(here),
             None => coarse,
         };
-        // a convolution of single pixels and a mean of pixels may change places: the smaller map is convolved
+        // a convolution of single pixels and a mean of pixels may change places: the smaller map is
+        // convolved
         interpolated(convolve([self.unit2.forward(x)], &self.out_conv), to, true)
     }
 }
@@ -166,14 +172,18 @@ impl DepthHead {
         };
         let (layers, scratch) = (&self.resize_layers, &self.scratch);
         [
-            convolve([layers.four_times.forward(projected(0))], &scratch.layer1_rn),
+            convolve(
+                [layers.four_times.forward(projected(0))],
+                &scratch.layer1_rn,
+            ),
             convolve([layers.twice.forward(projected(1))], &scratch.layer2_rn),
             convolve([projected(2)], &scratch.layer3_rn),
             convolve([layers.half.forward(projected(3))], &scratch.layer4_rn),
         ]
     }
 
-    /// Each of `levels` with those coarser than it, from coarse to fine, in the size of the next; the last in twice its own.
+    /// Each of `levels` with those coarser than it, from coarse to fine, in the size of the next;
+    /// the last in twice its own.
     fn fused(&self, levels: [Tensor<4>; 4]) -> [Tensor<4>; 4] {
         let size = |x: &Tensor<4>| {
             let [_, _, h, w] = x.dims();

@@ -1,7 +1,8 @@
 //! Depth-Anything V1: relative depth of one image.
 //!
-//! - Paper: Yang et al., "Depth Anything: Unleashing the Power of Large-Scale Unlabeled Data", CVPR 2024; the head is that of Ranftl et
-//!   al., "Vision Transformers for Dense Prediction", ICCV 2021 (DPT).
+//! - Paper: Yang et al., "Depth Anything: Unleashing the Power of Large-Scale Unlabeled Data", CVPR
+//!   2024; the head is that of Ranftl et al., "Vision Transformers for Dense Prediction", ICCV 2021
+//!   (DPT).
 //! - Upstream: LiheYoung/Depth-Anything, Apache-2.0, weights too.
 //!
 //! ```text
@@ -9,11 +10,12 @@
 //! maps --DPT: 4 levels, fused from coarse to fine--> disparity of the patches' pixels --bilinear--> disparity of the image
 //! ```
 //!
-//! The result is inverse depth up to an unknown factor and offset: larger is nearer, 0 is the furthest that the network
-//! can say. Which of the three sizes a checkpoint holds is read off its tensors.
+//! The result is inverse depth up to an unknown factor and offset: larger is nearer, 0 is the
+//! furthest that the network can say. Which of the three sizes a checkpoint holds is read off its
+//! tensors.
 //!
-//! Depth-Anything V2 has the same tensors in the same shapes, but taps other blocks: a checkpoint of it cannot be told from one of
-//! this network and gives wrong depth here.
+//! Depth-Anything V2 has the same tensors in the same shapes, but taps other blocks: a checkpoint
+//! of it cannot be told from one of this network and gives wrong depth here.
 
 mod head;
 #[cfg(test)]
@@ -49,10 +51,14 @@ struct Net {
 impl Net {
     /// Of `size` with `depth` blocks, waiting for its weights.
     fn new(size: BackboneSize, depth: usize, device: &Device) -> Self {
-        Self { pretrained: DinoV2::with_depth(size, depth, device), depth_head: DepthHead::new(size, device) }
+        Self {
+            pretrained: DinoV2::with_depth(size, depth, device),
+            depth_head: DepthHead::new(size, device),
+        }
     }
 
-    /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
+    /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means
+    /// 0.
     fn logits(&self, images: Tensor<4>) -> Tensor<4> {
         let [_, _, height, width] = images.dims();
         let grid = [height / PATCH, width / PATCH];
@@ -75,11 +81,14 @@ impl DepthAnything {
         let size = BackboneSize::in_checkpoint(&shapes, "pretrained.", NAME, path)?;
         let mut net = Net::new(size, size.depth(), &on.device);
         load::fill(&mut net, NAME, path, &head::RENAMES, dinov2::unneeded)?;
-        Ok(Self { net: on.fit(net), device: on.device })
+        Ok(Self {
+            net: on.fit(net),
+            device: on.device,
+        })
     }
 
-    /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset are unknown), 0 or more, larger where it is
-    /// nearer.
+    /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset
+    /// are unknown), 0 or more, larger where it is nearer.
     ///
     /// # Errors
     ///
@@ -110,14 +119,19 @@ impl Sides {
         Ok(Self { width, height })
     }
 
-    /// Width and height that the network works with: those of the image in the same ratio with the longer at 768, rounded to whole
-    /// patches (down where that would make more than 768), one patch at least.
+    /// Width and height that the network works with: those of the image in the same ratio with the
+    /// longer at 768, rounded to whole patches (down where that would make more than 768), one
+    /// patch at least.
     fn inside(self) -> (usize, usize) {
         let scale = LONGEST as f64 / self.width.max(self.height) as f64;
         let side = |side: usize| {
             let patches = side as f64 * scale / PATCH as f64;
             let near = patches.round_ties_even() as usize;
-            let near = if near * PATCH > LONGEST { patches.floor() as usize } else { near };
+            let near = if near * PATCH > LONGEST {
+                patches.floor() as usize
+            } else {
+                near
+            };
             near.max(1) * PATCH
         };
         (side(self.width), side(self.height))
@@ -125,7 +139,13 @@ impl Sides {
 
     /// The image `[1, 3, height, width]` of the sides [`Sides::inside`], normalised.
     fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
-        image_tensor(image, self.inside(), Kernels::cubic, [IMAGENET_MEAN, IMAGENET_STD], device)
+        image_tensor(
+            image,
+            self.inside(),
+            Kernels::cubic,
+            [IMAGENET_MEAN, IMAGENET_STD],
+            device,
+        )
     }
 
     /// Disparity of the sides [`Sides::inside`] in those of the image.

@@ -5,7 +5,8 @@ use super::{Net, Sides};
 use crate::cpu;
 use crate::dinov2::{BackboneSize, unneeded};
 use crate::fixture::{
-    Fixture, assert_near, assert_same_tensors, every_map, fill_by_formula, normalised, of_first_blocks,
+    Fixture, assert_near, assert_same_tensors, every_map, fill_by_formula, normalised,
+    of_first_blocks,
 };
 use burn_core::tensor::activation::relu;
 use m4_testkit::FormulaWeights;
@@ -47,10 +48,15 @@ fn large_model_with_five_blocks_matches_the_module() {
     check(BackboneSize::Large, LARGE, 5, &fixture);
 }
 
-/// The names and shapes of the module are those of the official checkpoints, nothing less and nothing more.
+/// The names and shapes of the module are those of the official checkpoints, nothing less and
+/// nothing more.
 #[test]
 fn each_size_has_exactly_the_tensors_of_its_checkpoint() {
-    for (size, keys) in [(BackboneSize::Small, SMALL), (BackboneSize::Base, BASE), (BackboneSize::Large, LARGE)] {
+    for (size, keys) in [
+        (BackboneSize::Small, SMALL),
+        (BackboneSize::Base, BASE),
+        (BackboneSize::Large, LARGE),
+    ] {
         let net = Net::new(size, size.depth(), &cpu());
         assert_same_tensors(&net, keys, &RENAMES, unneeded);
     }
@@ -72,7 +78,11 @@ fn sides_are_those_of_the_reference() {
         (500, 375, 756, 574),
     ];
     for (w, h, width, height) in table {
-        assert_eq!(Sides::of((w, h)).unwrap().inside(), (width, height), "{w} x {h}");
+        assert_eq!(
+            Sides::of((w, h)).unwrap().inside(),
+            (width, height),
+            "{w} x {h}"
+        );
     }
     assert_eq!(Sides::of((100_000, 1)).unwrap().inside(), (756, 14));
     assert!(Sides::of((0, 4)).is_err());
@@ -87,5 +97,9 @@ fn disparity_is_resized_to_the_image() {
     let back = sides.to_image(&slope);
     assert_eq!(back.size(), (300, 200));
     let want = 150.5 * w as f32 / 300.0;
-    assert!((back[(150, 70)] - want).abs() < 1e-3, "{} for {want}", back[(150, 70)]);
+    assert!(
+        (back[(150, 70)] - want).abs() < 1e-3,
+        "{} for {want}",
+        back[(150, 70)]
+    );
 }

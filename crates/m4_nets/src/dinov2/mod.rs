@@ -1,23 +1,27 @@
 //! DINOv2: the vision transformer that the networks for depth share.
 //!
-//! - Paper: Oquab et al., "DINOv2: Learning Robust Visual Features without Supervision", 2023; the blocks are those of Dosovitskiy et
-//!   al., "An Image is Worth 16x16 Words", ICLR 2021, with the LayerScale of Touvron et al., "Going deeper with Image Transformers",
-//!   ICCV 2021.
-//! - Upstream: facebookresearch/dinov2, Apache-2.0. Networks for depth carry its weights, trained further, in their own checkpoints.
+//! - Paper: Oquab et al., "DINOv2: Learning Robust Visual Features without Supervision", 2023; the
+//!   blocks are those of Dosovitskiy et al., "An Image is Worth 16x16 Words", ICLR 2021, with the
+//!   LayerScale of Touvron et al., "Going deeper with Image Transformers", ICCV 2021.
+//! - Upstream: facebookresearch/dinov2, Apache-2.0. Networks for depth carry its weights, trained
+//!   further, in their own checkpoints.
 //!
 //! ```text
 //! image [b, 3, 14 h, 14 w] --patches of 14 x 14, class token, positions--> tokens [b, 1 + h w, c] --blocks--> tokens
 //! ```
 //!
-//! What a block gives away passes the final normalisation first ([`DinoV2::taps`]). Fields are named as in the checkpoint of the
-//! backbone itself; a network has it behind a prefix (`pretrained.`, `encoder.backbone.`), which is the name of its own field or a rename.
+//! What a block gives away passes the final normalisation first ([`DinoV2::taps`]). Fields are
+//! named as in the checkpoint of the backbone itself; a network has it behind a prefix
+//! (`pretrained.`, `encoder.backbone.`), which is the name of its own field or a rename.
 
 #[cfg(test)]
 mod tests;
 
 use crate::LoadError;
 use crate::load::Shapes;
-use crate::ops::{Kernels, attend_heads, fine_norm, gelu, in_parts, linear, patch_conv, tensor, zeros};
+use crate::ops::{
+    Kernels, attend_heads, fine_norm, gelu, in_parts, linear, patch_conv, tensor, zeros,
+};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
@@ -56,7 +60,8 @@ pub struct Tap {
     pub class: Tensor<2>,
 }
 
-/// Whether a tensor of a checkpoint of the backbone is of use in training alone: the token that stands for a hidden patch.
+/// Whether a tensor of a checkpoint of the backbone is of use in training alone: the token that
+/// stands for a hidden patch.
 pub fn unneeded(name: &str) -> bool {
     name.rsplit('.').next() == Some("mask_token")
 }
@@ -73,24 +78,31 @@ impl DinoV2 {
         Self {
             cls_token: Initializer::Zeros.init([1, 1, width], device),
             pos_embed: Initializer::Zeros.init([1, 1 + GRID * GRID, width], device),
-            patch_embed: PatchEmbed { proj: patch_conv([3, width], PATCH, device) },
+            patch_embed: PatchEmbed {
+                proj: patch_conv([3, width], PATCH, device),
+            },
             blocks: (0..depth).map(|_| Block::new(size, device)).collect(),
             norm: fine_norm(width, device),
             offset: OFFSET,
         }
     }
 
-    /// The same with positions resized to a number of rows and columns, not by a scale (`interpolate_offset` 0 upstream).
+    /// The same with positions resized to a number of rows and columns, not by a scale
+    /// (`interpolate_offset` 0 upstream).
     pub fn with_plain_positions(self) -> Self {
-        Self { offset: 0.0, ..self }
+        Self {
+            offset: 0.0,
+            ..self
+        }
     }
 
     pub fn depth(&self) -> usize {
         self.blocks.len()
     }
 
-    /// What the blocks `taps` (counted from 0, ascending) give away of images `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
-    /// standard deviation). Blocks after the last of them are not run.
+    /// What the blocks `taps` (counted from 0, ascending) give away of images `[b, 3, 14 h, 14 w]`
+    /// that are normalised (ImageNet's mean and standard deviation). Blocks after the last of them
+    /// are not run.
     pub fn taps<const N: usize>(&self, images: Tensor<4>, taps: [usize; N]) -> [Tap; N] {
         let mut run = self.run(images);
         taps.map(|block| {
@@ -101,7 +113,11 @@ impl DinoV2 {
 
     /// The same step by step.
     pub fn run(&self, images: Tensor<4>) -> Run<'_> {
-        Run { net: self, x: self.tokens(images), done: 0 }
+        Run {
+            net: self,
+            x: self.tokens(images),
+            done: 0,
+        }
     }
 
     /// Tokens as the first block takes them.
@@ -138,11 +154,15 @@ impl Run<'_> {
     pub fn tap(&self) -> Tap {
         let [_, tokens, _] = self.x.dims();
         let x = self.net.norm.forward(self.x.clone());
-        Tap { patches: x.clone().narrow(1, 1, tokens - 1), class: x.narrow(1, 0, 1).squeeze_dim(1) }
+        Tap {
+            patches: x.clone().narrow(1, 1, tokens - 1),
+            class: x.narrow(1, 0, 1).squeeze_dim(1),
+        }
     }
 }
 
-/// How wide and how deep a backbone is. All of them have heads of 64 channels and feed-forward layers of four times the width.
+/// How wide and how deep a backbone is. All of them have heads of 64 channels and feed-forward
+/// layers of four times the width.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum BackboneSize {
     /// ViT-S/14: 384 channels, 12 blocks, 22 million numbers.
@@ -191,8 +211,9 @@ impl BackboneSize {
         }
     }
 
-    /// The size of the backbone under `prefix` (with its final dot) in a checkpoint of `network`, as its class token tells. A file's name says
-    /// nothing: a small network under the name of a large one is a small one.
+    /// The size of the backbone under `prefix` (with its final dot) in a checkpoint of `network`,
+    /// as its class token tells. A file's name says nothing: a small network under the name of a
+    /// large one is a small one.
     pub(crate) fn in_checkpoint(
         shapes: &Shapes,
         prefix: &str,
@@ -203,10 +224,15 @@ impl BackboneSize {
         let Some(shape) = shapes.get(&name) else {
             return Err(LoadError::misfit(network, path, &[&name], &[]));
         };
-        let found = Self::ALL.into_iter().find(|size| shape.last() == Some(&size.width()));
+        let found = Self::ALL
+            .into_iter()
+            .find(|size| shape.last() == Some(&size.width()));
         found.ok_or_else(|| {
             let known = Self::ALL.map(|size| format!("{} of {}", size.width(), size.name()));
-            let wrong = format!("{name} has the shape {shape:?}, known widths are {}", known.join(", "));
+            let wrong = format!(
+                "{name} has the shape {shape:?}, known widths are {}",
+                known.join(", ")
+            );
             LoadError::misfit(network, path, &[], &[wrong])
         })
     }
@@ -222,13 +248,21 @@ pub struct Attention {
 
 impl Attention {
     pub fn new(width: usize, heads: usize, device: &Device) -> Self {
-        Self { qkv: linear(width, 3 * width, true, device), proj: linear(width, width, true, device), heads }
+        Self {
+            qkv: linear(width, 3 * width, true, device),
+            proj: linear(width, width, true, device),
+            heads,
+        }
     }
 
     /// Of tokens `[b, n, c]`: the same shape.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let [b, n, c] = x.dims();
-        let qkv = self.qkv.forward(x).reshape([b, n, 3, self.heads, c / self.heads]).permute([2, 0, 3, 1, 4]);
+        let qkv = self
+            .qkv
+            .forward(x)
+            .reshape([b, n, 3, self.heads, c / self.heads])
+            .permute([2, 0, 3, 1, 4]);
         let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(0, i, 1).squeeze_dim::<4>(0));
         let found = attend_heads(q, k, v).swap_dims(1, 2).reshape([b, n, c]);
         self.proj.forward(found)
@@ -254,7 +288,9 @@ pub struct LayerScale {
 impl LayerScale {
     /// Of `width` channels, waiting for its weights.
     pub fn new(width: usize, device: &Device) -> Self {
-        Self { gamma: zeros([width], device) }
+        Self {
+            gamma: zeros([width], device),
+        }
     }
 
     /// Of `x`, whose last axis are the channels.
@@ -274,7 +310,9 @@ const MLP_TOKENS: usize = 512;
 
 impl Mlp {
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        in_parts(x, 1, MLP_TOKENS, |x| self.fc2.forward(gelu(self.fc1.forward(x))))
+        in_parts(x, 1, MLP_TOKENS, |x| {
+            self.fc2.forward(gelu(self.fc1.forward(x)))
+        })
     }
 }
 
@@ -286,7 +324,10 @@ impl Block {
             attn: Attention::new(width, size.heads(), device),
             ls1: LayerScale::new(width, device),
             norm2: fine_norm(width, device),
-            mlp: Mlp { fc1: linear(width, 4 * width, true, device), fc2: linear(4 * width, width, true, device) },
+            mlp: Mlp {
+                fc1: linear(width, 4 * width, true, device),
+                fc2: linear(4 * width, width, true, device),
+            },
             ls2: LayerScale::new(width, device),
         }
     }
@@ -298,13 +339,14 @@ impl Block {
     }
 }
 
-/// What is added to a number of rows or columns before it becomes a scale: DINOv2 asks PyTorch's `interpolate` (bicubic, a = -0.75, no
-/// antialiasing) for the scale `(h + 0.1) / 37`, so that rounding cannot lose a row, and the samples lie `37 / (h + 0.1)` apart.
-/// Depth changes by a fifth without that tenth. `UniDepth` V2 was trained without it.
+/// What is added to a number of rows or columns before it becomes a scale: DINOv2 asks PyTorch's
+/// `interpolate` (bicubic, a = -0.75, no antialiasing) for the scale `(h + 0.1) / 37`, so that
+/// rounding cannot lose a row, and the samples lie `37 / (h + 0.1)` apart. Depth changes by a fifth
+/// without that tenth. `UniDepth` V2 was trained without it.
 pub const OFFSET: f64 = 0.1;
 
-/// Positions `[1, 1 + h w, c]` in 32 bits, out of those `[1, 1 + 37 * 37, c]` that were learned, with samples `37 / (h + offset)`
-/// apart.
+/// Positions `[1, 1 + h w, c]` in 32 bits, out of those `[1, 1 + 37 * 37, c]` that were learned,
+/// with samples `37 / (h + offset)` apart.
 pub fn resized(learned: Tensor<3>, h: usize, w: usize, offset: f64) -> Tensor<3> {
     let learned = learned.cast(DType::F32);
     if (h, w) == (GRID, GRID) {

@@ -15,7 +15,10 @@ const LIMIT: f64 = 5e-5;
 /// The lines of `keys` of a backbone with `depth` blocks.
 fn backbone_keys(keys: &str, depth: usize) -> String {
     let kept = of_first_blocks(keys, depth);
-    kept.lines().filter(|line| line.starts_with(PREFIX)).map(|line| format!("{line}\n")).collect()
+    kept.lines()
+        .filter(|line| line.starts_with(PREFIX))
+        .map(|line| format!("{line}\n"))
+        .collect()
 }
 
 fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {
@@ -29,8 +32,15 @@ fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {
 fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
     let image = normalised(&fixture.image("image"), &cpu());
     let positions = resized(net.pos_embed.val(), 9, 12, OFFSET).squeeze_dim(0);
-    assert_near(every(positions, step), fixture, "pos_embed_resized_strided", LIMIT);
-    let first = net.blocks[0].forward(net.tokens(image.clone())).squeeze_dim(0);
+    assert_near(
+        every(positions, step),
+        fixture,
+        "pos_embed_resized_strided",
+        LIMIT,
+    );
+    let first = net.blocks[0]
+        .forward(net.tokens(image.clone()))
+        .squeeze_dim(0);
     assert_near(every(first, step), fixture, "block0_out_strided", LIMIT);
     let depth = net.depth();
     let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
@@ -44,13 +54,21 @@ fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
 #[test]
 fn small_model_matches_the_module() {
     let net = backbone(BackboneSize::Small, SMALL, 12);
-    check(&net, &Fixture::open("depth_anything_v1/vits.safetensors"), 4);
+    check(
+        &net,
+        &Fixture::open("depth_anything_v1/vits.safetensors"),
+        4,
+    );
 }
 
 #[test]
 fn five_blocks_of_the_large_model_match_the_module() {
     let net = backbone(BackboneSize::Large, LARGE, 5);
-    check(&net, &Fixture::open("depth_anything_v1/vitl_5blocks.safetensors"), 16);
+    check(
+        &net,
+        &Fixture::open("depth_anything_v1/vitl_5blocks.safetensors"),
+        16,
+    );
 }
 
 /// Where the grid is the one that was learned, nothing is resampled.
@@ -58,20 +76,30 @@ fn five_blocks_of_the_large_model_match_the_module() {
 fn position_embeddings_of_the_trained_size_are_unchanged() {
     let net = backbone(BackboneSize::Small, SMALL, 1);
     let learned: Vec<f32> = net.pos_embed.val().try_into_vec_as().unwrap();
-    let same: Vec<f32> = resized(net.pos_embed.val(), 37, 37, OFFSET).try_into_vec_as().unwrap();
+    let same: Vec<f32> = resized(net.pos_embed.val(), 37, 37, OFFSET)
+        .try_into_vec_as()
+        .unwrap();
     assert_eq!(learned, same);
 }
 
-/// Many queries are answered some at a time: an image of 390 patches and the same as half of a batch.
+/// Many queries are answered some at a time: an image of 390 patches and the same as half of a
+/// batch.
 #[test]
 fn a_batch_equals_its_images() {
     let net = backbone(BackboneSize::Small, SMALL, 2);
-    let image = m4_core::RgbImage::from_fn(14 * 26, 14 * 15, |x, y| [x as u8, y as u8, (x * y / 7) as u8]);
+    let image = m4_core::RgbImage::from_fn(14 * 26, 14 * 15, |x, y| {
+        [x as u8, y as u8, (x * y / 7) as u8]
+    });
     let one = normalised(&image, &cpu());
     let flipped = one.clone().flip([3]);
     let both = burn_core::tensor::Tensor::cat(vec![flipped, one.clone()], 0);
-    let numbers =
-        |tap: &Tap, at: usize| -> Vec<f32> { tap.patches.clone().narrow(0, at, 1).try_into_vec_as().unwrap() };
+    let numbers = |tap: &Tap, at: usize| -> Vec<f32> {
+        tap.patches
+            .clone()
+            .narrow(0, at, 1)
+            .try_into_vec_as()
+            .unwrap()
+    };
     let one = net.taps(one, [0, 1]);
     let both = net.taps(both, [0, 1]);
     for (one, both) in one.iter().zip(&both) {

@@ -1,9 +1,12 @@
-//! MegaSaM's tracking network: DROID-SLAM's recurrent update with a head that detects dynamic pixels.
+//! MegaSaM's tracking network: DROID-SLAM's recurrent update with a head that detects dynamic
+//! pixels.
 //!
-//! - Papers: Teed and Deng, "DROID-SLAM: Deep Visual SLAM for Monocular, Stereo, and RGB-D Cameras", NeurIPS 2021; Li et al.,
-//!   "MegaSaM: Accurate, Fast, and Robust Structure and Motion from Casual Dynamic Videos", CVPR 2025, section 3.2.
-//! - Upstreams: princeton-vl/DROID-SLAM (BSD-3), mega-sam/mega-sam (Apache-2.0). Weights (CC-BY 4.0): a checkpoint of 130
-//!   tensors, 5,192,467 numbers, of which [`DroidNet`] leaves out those that only training used.
+//! - Papers: Teed and Deng, "DROID-SLAM: Deep Visual SLAM for Monocular, Stereo, and RGB-D
+//!   Cameras", NeurIPS 2021; Li et al., "MegaSaM: Accurate, Fast, and Robust Structure and Motion
+//!   from Casual Dynamic Videos", CVPR 2025, section 3.2.
+//! - Upstreams: princeton-vl/DROID-SLAM (BSD-3), mega-sam/mega-sam (Apache-2.0). Weights (CC-BY
+//!   4.0): a checkpoint of 130 tensors, 5,192,467 numbers, of which [`DroidNet`] leaves out those
+//!   that only training used.
 //!
 //! ```text
 //! image --fnet--> features at 1/8        --cnet--> hidden (tanh), context (relu)
@@ -11,11 +14,13 @@
 //! all edges of a source --mean--> eta (damping of disparities), upmask; how likely each edge's pixels are static
 //! ```
 //!
-//! [`DroidNet`] is the network, [`DroidMemory`] what it keeps of a clip: features of frames and hidden states of edges, within
-//! a budget of memory. Positions are pixels of the grid at 1/8 whose centres are whole numbers, u to the right, v down.
+//! [`DroidNet`] is the network, [`DroidMemory`] what it keeps of a clip: features of frames and
+//! hidden states of edges, within a budget of memory. Positions are pixels of the grid at 1/8 whose
+//! centres are whole numbers, u to the right, v down.
 //!
-//! What a frame's context adds to the recurrent unit is computed once for all edges of the frame, and the two gates that read
-//! the same numbers are one convolution; upstream does both for every edge in every step.
+//! What a frame's context adds to the recurrent unit is computed once for all edges of the frame,
+//! and the two gates that read the same numbers are one convolution; upstream does both for every
+//! edge in every step.
 
 mod memory;
 #[cfg(test)]
@@ -44,13 +49,23 @@ const WIDTH: usize = 128;
 const RENAMES: [(&str, &str); 5] = [
     (r"^module\.", ""),
     (r"\.downsample\.0\.", ".downsample.conv."),
-    (r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.0\.", ".${1}.hidden."),
-    (r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.2\.", ".${1}.out."),
+    (
+        r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.0\.",
+        ".${1}.hidden.",
+    ),
+    (
+        r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.2\.",
+        ".${1}.out.",
+    ),
     (r"\.agg\.(eta|upmask)\.0\.", ".agg.${1}."),
 ];
 
 /// Tensors of the checkpoint (by the fields' names) that only training used.
-const UNNEEDED: [&str; 3] = ["update.agg_motion.conv4.", "update.agg_motion.norm_4.", "update.agg_motion.eta."];
+const UNNEEDED: [&str; 3] = [
+    "update.agg_motion.conv4.",
+    "update.agg_motion.norm_4.",
+    "update.agg_motion.eta.",
+];
 
 /// The network with its weights.
 #[derive(Debug)]
@@ -68,8 +83,8 @@ struct Net {
 }
 
 impl DroidNet {
-    /// The network with the weights of the checkpoint at `path`, on `device`. Weights and steps may have two outputs, as the
-    /// network uses, or three, as published.
+    /// The network with the weights of the checkpoint at `path`, on `device`. Weights and steps may
+    /// have two outputs, as the network uses, or three, as published.
     ///
     /// # Errors
     ///
@@ -79,17 +94,25 @@ impl DroidNet {
         let device = &on.device;
         // the published weights and steps have a third output, which counts for nothing
         let shapes = load::shapes(NAME, path, &RENAMES)?;
-        let rows = shapes.get("update.weight.out.weight").and_then(|shape| shape.first().copied());
+        let rows = shapes
+            .get("update.weight.out.weight")
+            .and_then(|shape| shape.first().copied());
         let rows = rows.map_or(2, |rows| rows.clamp(2, 3));
         let mut net = Net {
             fnet: Encoder::new([32, 64, 128], WIDTH, Norm::Instance, device),
             cnet: Encoder::new([32, 64, 128], 2 * WIDTH, Norm::None, device),
             update: Update::new(rows, device),
         };
-        load::fill(&mut net, NAME, path, &RENAMES, |name| UNNEEDED.iter().any(|start| name.starts_with(start)))?;
+        load::fill(&mut net, NAME, path, &RENAMES, |name| {
+            UNNEEDED.iter().any(|start| name.starts_with(start))
+        })?;
         net.update.keep_two_rows();
         let net = on.fit(net);
-        Ok(Self { gru: net.update.gru.arranged(), net, device: device.clone() })
+        Ok(Self {
+            gru: net.update.gru.arranged(),
+            net,
+            device: device.clone(),
+        })
     }
 
     fn dtype(&self) -> DType {
@@ -102,7 +125,8 @@ impl DroidNet {
         Ok(self.net.fnet.forward(image, Norm::Instance))
     }
 
-    /// The hidden state that edges from `image` start with, and its context, `[1, 128, h / 8, w / 8]` each.
+    /// The hidden state that edges from `image` start with, and its context,
+    /// `[1, 128, h / 8, w / 8]` each.
     fn state(&self, image: &RgbImage) -> Result<[Tensor<4>; 2], NetError> {
         let image = normalised(image, &self.device)?.cast(self.dtype());
         let both = self.net.cnet.forward(image, Norm::None);
@@ -113,12 +137,16 @@ impl DroidNet {
 
 /// Sides are multiples of this.
 const MULTIPLE: usize = 8;
-/// The smallest side: correlation is pooled down to an eighth of an eighth, which must have pixels (upstream's limit, too).
+/// The smallest side: correlation is pooled down to an eighth of an eighth, which must have pixels
+/// (upstream's limit, too).
 const SMALLEST: usize = 128;
 
 /// Fails unless the network takes images of this size.
 fn check((width, height): (usize, usize)) -> Result<(), NetError> {
-    if [width, height].iter().any(|&side| side < SMALLEST || side % MULTIPLE != 0) {
+    if [width, height]
+        .iter()
+        .any(|&side| side < SMALLEST || side % MULTIPLE != 0)
+    {
         return refuse(format!(
             "the tracking network takes images whose sides are multiples of 8 and at least 128 px, this has {width} x \
              {height}; resize and crop it"

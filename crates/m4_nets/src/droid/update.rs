@@ -1,4 +1,5 @@
-//! The update operator: from what images and geometry say of an edge to how far its pixels should move.
+//! The update operator: from what images and geometry say of an edge to how far its pixels should
+//! move.
 
 use super::WIDTH;
 use crate::correlation::taps;
@@ -14,7 +15,8 @@ use burn_nn::conv::Conv2d;
 pub const LEVELS: usize = 4;
 pub const RADIUS: usize = 3;
 
-/// Two convolutions, the first at most as wide as the network; an activation follows each. Numbered 0 and 2 in the checkpoint.
+/// Two convolutions, the first at most as wide as the network; an activation follows each. Numbered
+/// 0 and 2 in the checkpoint.
 #[derive(Module, Debug)]
 pub struct Pair {
     hidden: Conv2d,
@@ -23,7 +25,10 @@ pub struct Pair {
 
 impl Pair {
     fn new([from, to]: [usize; 2], [first, second]: [usize; 2], device: &Device) -> Self {
-        Self { hidden: conv([from, WIDTH], first, 1, true, device), out: conv([WIDTH, to], second, 1, true, device) }
+        Self {
+            hidden: conv([from, WIDTH], first, 1, true, device),
+            out: conv([WIDTH, to], second, 1, true, device),
+        }
     }
 
     /// Without the activation of the second.
@@ -66,8 +71,8 @@ impl Update {
         }
     }
 
-    /// The hidden states that follow `hidden` `[n, 128, h, w]`, with what the context adds by `gru`, scores `[n, 196, h, w]` and
-    /// motion `[n, 4, h, w]` (`None` for zeros).
+    /// The hidden states that follow `hidden` `[n, 128, h, w]`, with what the context adds by
+    /// `gru`, scores `[n, 196, h, w]` and motion `[n, 4, h, w]` (`None` for zeros).
     pub fn advance(
         &self,
         gru: &ArrangedGru,
@@ -77,13 +82,15 @@ impl Update {
         motion: Option<Tensor<4>>,
     ) -> Tensor<4> {
         let [n, _, h, w] = hidden.dims();
-        let motion = motion.unwrap_or_else(|| Tensor::zeros([n, 4, h, w], (&hidden.device(), hidden.dtype())));
+        let motion = motion
+            .unwrap_or_else(|| Tensor::zeros([n, 4, h, w], (&hidden.device(), hidden.dtype())));
         let corr = relu(self.corr_encoder.forward(corr, relu));
         let flow = relu(self.flow_encoder.forward(motion, relu));
         gru.forward(hidden, context, corr, flow)
     }
 
-    /// How far the positions of edges with `hidden` should move, `[n, 2, h, w]`: pixels right and down.
+    /// How far the positions of edges with `hidden` should move, `[n, 2, h, w]`: pixels right and
+    /// down.
     pub fn delta(&self, hidden: Tensor<4>) -> Tensor<4> {
         self.delta.forward(hidden, relu)
     }
@@ -116,7 +123,8 @@ impl Aggregation {
         }
     }
 
-    /// What is averaged over the edges: of hidden states `[n, 128, h, w]` their sum `[1, 128, h, w]`.
+    /// What is averaged over the edges: of hidden states `[n, 128, h, w]` their sum
+    /// `[1, 128, h, w]`.
     pub fn sum_of(&self, hidden: Tensor<4>) -> Tensor<4> {
         relu(convolve([hidden], &self.conv1)).sum_dim(0)
     }
@@ -131,7 +139,8 @@ impl Aggregation {
         softplus(convolve([shared], &self.eta), 1.0).mul_scalar(0.01)
     }
 }
-/// The head (MegaSaM, section 3.2.1). What the checkpoint has beside it (`conv4`, `norm_4`, `eta`) only training used.
+/// The head (MegaSaM, section 3.2.1). What the checkpoint has beside it (`conv4`, `norm_4`, `eta`)
+/// only training used.
 #[derive(Module, Debug)]
 pub struct MotionHead {
     conv0: Conv2d,
@@ -162,27 +171,39 @@ impl MotionHead {
         }
     }
 
-    /// What edges say on their own: of `hidden` `[n, 128, h, w]` and `weight` `[n, 2, h, w]`, `[n, 128, h, w]`.
+    /// What edges say on their own: of `hidden` `[n, 128, h, w]` and `weight` `[n, 2, h, w]`,
+    /// `[n, 128, h, w]`.
     pub fn edges(&self, hidden: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
         let x = activated(&self.norm_0, self.first(hidden, weight));
         let x = activated(&self.norm_1, convolve([x.clone()], &self.conv1)) + x;
         activated(&self.norm_3, convolve([x.clone()], &self.conv3)) + x
     }
 
-    /// `conv0` of hidden states, their means over the pixels and weights. The means are the same everywhere, so what they add
-    /// depends on nothing but which border is near: a convolution of 3 x 3 pixels.
+    /// `conv0` of hidden states, their means over the pixels and weights. The means are the same
+    /// everywhere, so what they add depends on nothing but which border is near: a convolution of 3
+    /// x 3 pixels.
     fn first(&self, hidden: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
         let [n, c, h, w] = hidden.dims();
         let all = self.conv0.weight.val();
         let part = |from, len| all.clone().narrow(1, from, len);
         let bias = self.conv0.bias.as_ref().map(Param::val);
-        let pixels = with_weights(self.conv0.clone(), Tensor::cat(vec![part(0, c), part(2 * c, 2)], 1), bias);
+        let pixels = with_weights(
+            self.conv0.clone(),
+            Tensor::cat(vec![part(0, c), part(2 * c, 2)], 1),
+            bias,
+        );
         let means = with_weights(self.conv0.clone(), part(c, c), None);
         let mean = hidden.clone().mean_dims(&[2, 3]).expand([n, c, 3, 3]);
         let nine = means.forward(mean);
         let device = nine.device();
         let spread = |nine: Tensor<4>, dim: usize, extent: usize| {
-            let index = (0..extent).map(|i| if i == 0 { 0 } else { 1 + i32::from(i + 1 == extent) });
+            let index = (0..extent).map(|i| {
+                if i == 0 {
+                    0
+                } else {
+                    1 + i32::from(i + 1 == extent)
+                }
+            });
             let index = Tensor::<1, Int>::from_data(index.collect::<Vec<_>>().as_slice(), &device);
             nine.select(dim, index)
         };
@@ -252,16 +273,25 @@ impl Gru {
         };
         let edge = [0..WIDTH, 2 * WIDTH..3 * WIDTH + FLOW];
         ArrangedGru {
-            context: with_weights(self.convz.clone(), weights(&all, [WIDTH..2 * WIDTH, 0..0]), Some(biases(all))),
+            context: with_weights(
+                self.convz.clone(),
+                weights(&all, [WIDTH..2 * WIDTH, 0..0]),
+                Some(biases(all)),
+            ),
             update_reset: with_weights(self.convz.clone(), weights(&all[..2], edge.clone()), None),
             candidate: with_weights(self.convz.clone(), weights(&all[2..], edge), None),
-            global: with_weights(self.w.clone(), weights(&global, [0..WIDTH, 0..0]), Some(biases(global))),
+            global: with_weights(
+                self.w.clone(),
+                weights(&global, [0..WIDTH, 0..0]),
+                Some(biases(global)),
+            ),
             w: self.w.clone(),
         }
     }
 }
 
-/// [`Gru`] with what depends on the source alone taken out, and the gates that read the same numbers as one convolution.
+/// [`Gru`] with what depends on the source alone taken out, and the gates that read the same
+/// numbers as one convolution.
 #[derive(Debug, Clone)]
 pub struct ArrangedGru {
     /// Context to z, r, q.
@@ -285,16 +315,27 @@ impl ArrangedGru {
         convolve([context], &self.context)
     }
 
-    /// The hidden states that follow `hidden` `[n, 128, h, w]`, with what [`context`](Self::context) gave, the encoded
-    /// correlation `[n, 128, h, w]` and flow `[n, 64, h, w]`.
-    pub fn forward(&self, hidden: Tensor<4>, context: Tensor<4>, corr: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
+    /// The hidden states that follow `hidden` `[n, 128, h, w]`, with what
+    /// [`context`](Self::context) gave, the encoded correlation `[n, 128, h, w]` and flow
+    /// `[n, 64, h, w]`.
+    pub fn forward(
+        &self,
+        hidden: Tensor<4>,
+        context: Tensor<4>,
+        corr: Tensor<4>,
+        flow: Tensor<4>,
+    ) -> Tensor<4> {
         let glo = sigmoid(self.w.forward(hidden.clone())) * hidden.clone();
         // [n, 384, 1, 1]
         let glo = self.global.forward(glo.mean_dims(&[2, 3]));
         let added = |from: usize, n: usize| {
-            context.clone().narrow(1, from * WIDTH, n * WIDTH) + glo.clone().narrow(1, from * WIDTH, n * WIDTH)
+            context.clone().narrow(1, from * WIDTH, n * WIDTH)
+                + glo.clone().narrow(1, from * WIDTH, n * WIDTH)
         };
-        let zr = convolve([hidden.clone(), corr.clone(), flow.clone()], &self.update_reset);
+        let zr = convolve(
+            [hidden.clone(), corr.clone(), flow.clone()],
+            &self.update_reset,
+        );
         let zr = sigmoid(zr + added(0, 2));
         let z = zr.clone().narrow(1, 0, WIDTH);
         let r = zr.narrow(1, WIDTH, WIDTH);

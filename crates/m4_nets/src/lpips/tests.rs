@@ -16,9 +16,12 @@ fn numbers(array: &Array<'_>) -> Vec<f32> {
     words.iter().map(|&w| f32::from_le_bytes(w)).collect()
 }
 
-/// What may come out of any file: arrays whose bytes are those of their shapes, all of them out of the file.
+/// What may come out of any file: arrays whose bytes are those of their shapes, all of them out of
+/// the file.
 fn is_sound(file: &[u8]) -> bool {
-    let Ok(found) = arrays(file) else { return false };
+    let Ok(found) = arrays(file) else {
+        return false;
+    };
     let fits = |a: &Array<'_>| a.shape.iter().product::<usize>() * 4 == a.bytes.len();
     assert!(found.values().all(fits));
     assert!(found.values().map(|a| a.bytes.len()).sum::<usize>() <= file.len());
@@ -48,11 +51,15 @@ fn numpy_files_are_read() {
 fn other_numbers_and_orders_are_refused() {
     for name in ["doubles.pickle", "by_columns.pickle"] {
         let error = arrays(&fixture(name)).unwrap_err();
-        assert!(error.to_string().contains("32-bit numbers, row by row"), "{name}: {error}");
+        assert!(
+            error.to_string().contains("32-bit numbers, row by row"),
+            "{name}: {error}"
+        );
     }
 }
 
-/// Every cut, and every byte with each of its bits turned and as 0, 255 and the steps that change most.
+/// Every cut, and every byte with each of its bits turned and as 0, 255 and the steps that change
+/// most.
 #[test]
 fn damage_is_refused_or_harmless() {
     let file = fixture("arrays.pickle");
@@ -66,12 +73,19 @@ fn damage_is_refused_or_harmless() {
         let turned = (0..8).map(|bit| file[i] ^ (1 << bit));
         for byte in turned.chain([0, 255, b'R', b'b', b'u', b't', b'(', b'.', b'c']) {
             damaged[i] = byte;
-            *(if is_sound(&damaged) { &mut read } else { &mut refused }) += 1;
+            *(if is_sound(&damaged) {
+                &mut read
+            } else {
+                &mut refused
+            }) += 1;
         }
         damaged[i] = file[i];
     }
     // most of the file is numbers and names, where anything goes
-    assert!(refused > 1000 && read > 1000, "{refused} refused, {read} read");
+    assert!(
+        refused > 1000 && read > 1000,
+        "{refused} refused, {read} read"
+    );
     for i in 0..file.len() {
         let mut longer = file.clone();
         longer.splice(i..i, *b"(((}}hq\x01");
@@ -105,15 +119,29 @@ fn attacks_are_refused() {
     refused(&b"}\x85".repeat(200_000), "more steps");
     refused(&b")\x85\x85\x85"[..], "too deep");
     let file = fixture("arrays.pickle");
-    let nested = [&b"}X\x01\0\0\0a".repeat(20)[..], &file[2..file.len() - 1], &b"s".repeat(20), b"."].concat();
+    let nested = [
+        &b"}X\x01\0\0\0a".repeat(20)[..],
+        &file[2..file.len() - 1],
+        &b"s".repeat(20),
+        b".",
+    ]
+    .concat();
     refused(&nested, "too deep");
     let other = b"X\x06\0\0\0kernel";
     let at = file.windows(other.len()).position(|w| w == other).unwrap();
-    refused(&[&file[2..at], b"X\x04\0\0\0bias", &file[at + other.len()..]].concat(), "twice");
-    // a shape whose product is beyond any memory, and one that comes out right only when it overflows
+    refused(
+        &[&file[2..at], b"X\x04\0\0\0bias", &file[at + other.len()..]].concat(),
+        "twice",
+    );
+    // a shape whose product is beyond any memory, and one that comes out right only when it
+    // overflows
     let shape = b"K\x02K\x03K\x04K\x05";
     let at = file.windows(shape.len()).position(|w| w == shape).unwrap();
-    for sides in [b"J\xff\xff\xff\x7f".repeat(4), b"J\0\0\0\x40".repeat(4), b"K\x01".repeat(20)] {
+    for sides in [
+        b"J\xff\xff\xff\x7f".repeat(4),
+        b"J\0\0\0\x40".repeat(4),
+        b"K\x01".repeat(20),
+    ] {
         let mut changed = file.clone();
         changed.splice(at..at + shape.len(), sides);
         assert!(!is_sound(&changed));

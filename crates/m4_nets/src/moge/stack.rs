@@ -4,7 +4,8 @@
 //! level i:  x = enlarged(level i - 1) + 1 x 1(input i);  x = blocks(x);  output i = 1 x 1(x)
 //! ```
 //!
-//! How many levels there are and how wide they are is read off a checkpoint ([`StackLayout`]). Convolutions of 3 x 3 repeat the edges.
+//! How many levels there are and how wide they are is read off a checkpoint ([`StackLayout`]).
+//! Convolutions of 3 x 3 repeat the edges.
 
 use super::layout::{Level, StackLayout, Up};
 use crate::dinov2::{BackboneSize, DinoV2};
@@ -46,7 +47,10 @@ fn wide(channels: [usize; 2], device: &Device) -> Conv2d {
 
 impl Residual {
     fn new(width: usize, hidden: usize, device: &Device) -> Self {
-        Self { conv1: wide([width, hidden], device), conv2: wide([hidden, width], device) }
+        Self {
+            conv1: wide([width, hidden], device),
+            conv2: wide([hidden, width], device),
+        }
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
@@ -58,10 +62,14 @@ impl Residual {
 impl Enlarge {
     fn new(up: Up, from: usize, to: usize, device: &Device) -> Self {
         match up {
-            Up::Transposed => {
-                Self { transposed: Some(upscaling_conv([from, to], 2, device)), conv: wide([to, to], device) }
-            }
-            Up::Bilinear => Self { transposed: None, conv: wide([from, to], device) },
+            Up::Transposed => Self {
+                transposed: Some(upscaling_conv([from, to], 2, device)),
+                conv: wide([to, to], device),
+            },
+            Up::Bilinear => Self {
+                transposed: None,
+                conv: wide([from, to], device),
+            },
         }
     }
 
@@ -87,10 +95,18 @@ impl Stack {
         };
         let ups = levels.iter().zip(levels.iter().skip(1));
         Self {
-            input_blocks: levels.iter().map(|l| l.input.map(|from| single(from, l.width))).collect(),
-            resamplers: ups.map(|(from, to)| Enlarge::new(from.up, from.width, to.width, device)).collect(),
+            input_blocks: levels
+                .iter()
+                .map(|l| l.input.map(|from| single(from, l.width)))
+                .collect(),
+            resamplers: ups
+                .map(|(from, to)| Enlarge::new(from.up, from.width, to.width, device))
+                .collect(),
             res_blocks: levels.iter().map(blocks).collect(),
-            output_blocks: levels.iter().map(|l| l.output.map(|to| single(l.width, to))).collect(),
+            output_blocks: levels
+                .iter()
+                .map(|l| l.output.map(|to| single(l.width, to)))
+                .collect(),
         }
     }
 
@@ -113,7 +129,9 @@ impl Stack {
     /// What the last level gives away, of at least one level.
     pub fn last(&self, inputs: &[Tensor<4>]) -> Tensor<4> {
         let (first, rest) = (inputs[0].clone(), inputs.iter().enumerate().skip(1));
-        let x = rest.fold(self.level(0, None, first), |below, (i, input)| self.level(i, Some(below), input.clone()));
+        let x = rest.fold(self.level(0, None, first), |below, (i, input)| {
+            self.level(i, Some(below), input.clone())
+        });
         through(&self.output_blocks[inputs.len() - 1], x)
     }
 
@@ -124,7 +142,9 @@ impl Stack {
             Some(below) => self.resamplers[i - 1].forward(below) + input,
             None => input,
         };
-        self.res_blocks[i].iter().fold(x, |x, block| block.forward(x))
+        self.res_blocks[i]
+            .iter()
+            .fold(x, |x, block| block.forward(x))
     }
 }
 
@@ -156,8 +176,14 @@ impl Encoder {
         }
     }
 
-    /// Of images `[b, 3, 14 h, 14 w]` from 0 to 1: the map `[b, c, h, w]`, and the class token of the last tap, `[b, c']`.
-    pub fn forward(&self, images: Tensor<4>, taps: &[usize], [h, w]: [usize; 2]) -> (Tensor<4>, Tensor<2>) {
+    /// Of images `[b, 3, 14 h, 14 w]` from 0 to 1: the map `[b, c, h, w]`, and the class token of
+    /// the last tap, `[b, c']`.
+    pub fn forward(
+        &self,
+        images: Tensor<4>,
+        taps: &[usize],
+        [h, w]: [usize; 2],
+    ) -> (Tensor<4>, Tensor<2>) {
         let (mean, std) = (self.image_mean.val(), self.image_std.val());
         let images = (images.cast(mean.dtype()) - mean) / std;
         let mut run = self.backbone.run(images);

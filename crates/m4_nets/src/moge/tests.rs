@@ -47,9 +47,17 @@ fn small_model_matches_the_module() {
     assert_near(places.permute([0, 2, 3, 1]), &fixture, "uv_level2", 1e-5);
     let (levels, _) = net.net.features(input, taps, grid);
     for (i, (level, step)) in levels.into_iter().zip([96, 32, 16, 16, 16]).enumerate() {
-        assert_near(every_map(level, step), &fixture, &format!("neck{i}_strided"), LIMIT);
+        assert_near(
+            every_map(level, step),
+            &fixture,
+            &format!("neck{i}_strided"),
+            LIMIT,
+        );
     }
-    let options = MoGeOptions { tokens: Some(80), known_focal_px: None };
+    let options = MoGeOptions {
+        tokens: Some(80),
+        known_focal_px: None,
+    };
     let raw = net.raw_output(&image, &options).unwrap();
     let near = |got: &[f32], name: &str| assert_close(name, got, &fixture.floats(name).0, LIMIT);
     near(raw.points.as_flattened(), "points");
@@ -64,7 +72,11 @@ fn small_model_matches_the_module() {
 
     let map = net.infer(&image, &options).unwrap();
     let intrinsics = fixture.floats("infer_intrinsics").0;
-    assert!((map.focal_px / 180.0 / f64::from(intrinsics[0]) - 1.0).abs() < 1e-2, "{}", map.focal_px);
+    assert!(
+        (map.focal_px / 180.0 / f64::from(intrinsics[0]) - 1.0).abs() < 1e-2,
+        "{}",
+        map.focal_px
+    );
     let (depth, mut checked) = (fixture.floats("infer_depth_strided").0, 0);
     for (i, &want) in depth.iter().enumerate() {
         let at = (2 * (i % 90), 2 * (i / 90));
@@ -75,7 +87,11 @@ fn small_model_matches_the_module() {
         checked += 1;
         assert!((map.depth_m[at] / want - 1.0).abs() < 1e-4, "{at:?}");
     }
-    assert!(checked > depth.len() / 4 && checked < depth.len(), "{checked} of {}", depth.len());
+    assert!(
+        checked > depth.len() / 4 && checked < depth.len(),
+        "{checked} of {}",
+        depth.len()
+    );
 }
 
 /// The names and shapes of the module are those of the checkpoints, nothing less and nothing more.
@@ -94,18 +110,25 @@ fn each_model_has_exactly_the_tensors_of_its_checkpoint() {
     }
 }
 
-/// A file as PyTorch writes the official ones, with other settings than were published: `model_config` beside `model`.
+/// A file as PyTorch writes the official ones, with other settings than were published:
+/// `model_config` beside `model`.
 #[test]
 fn official_file_holds_the_configuration() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/moge2/config.pt");
     let shapes = load::shapes("MoGe-2", &path, &RENAMES).unwrap();
     let names: Vec<&str> = shapes.keys().map(String::as_str).collect();
-    assert_eq!(names, ["encoder.backbone.cls_token", "neck.resamplers.3.conv.bias"]);
+    assert_eq!(
+        names,
+        ["encoder.backbone.cls_token", "neck.resamplers.3.conv.bias"]
+    );
     let config = Config::of_checkpoint(&path, BackboneSize::Small).unwrap();
     assert_eq!(config.taps, [1, 4, 7, 11]);
     assert_eq!(config.tokens, (900, 2500));
     let published = Config::published(BackboneSize::Large);
-    assert_eq!((published.taps, published.tokens), (vec![5, 11, 17, 23], (1200, 3600)));
+    assert_eq!(
+        (published.taps, published.tokens),
+        (vec![5, 11, 17, 23], (1200, 3600))
+    );
 }
 
 /// What a configuration may say that is not known here.
@@ -115,12 +138,26 @@ fn an_unknown_setting_is_an_error() {
     let dict = |key: &str, value: PickleValue| PickleValue::Dict([(key.to_owned(), value)].into());
     for (said, word) in [
         (dict("remap_output", text("tanh")), "tanh"),
-        (dict("num_tokens_range", PickleValue::List(vec![PickleValue::Int(5)])), "num_tokens_range"),
+        (
+            dict(
+                "num_tokens_range",
+                PickleValue::List(vec![PickleValue::Int(5)]),
+            ),
+            "num_tokens_range",
+        ),
         (dict("neck", dict("activation", text("silu"))), "silu"),
-        (dict("mask_head", dict("resamplers", text("pixel_shuffle"))), "pixel_shuffle"),
-        (dict("encoder", dict("intermediate_layers", PickleValue::Int(4))), "intermediate_layers"),
+        (
+            dict("mask_head", dict("resamplers", text("pixel_shuffle"))),
+            "pixel_shuffle",
+        ),
+        (
+            dict("encoder", dict("intermediate_layers", PickleValue::Int(4))),
+            "intermediate_layers",
+        ),
     ] {
-        let error = Config::published(BackboneSize::Small).read(&said).unwrap_err();
+        let error = Config::published(BackboneSize::Small)
+            .read(&said)
+            .unwrap_err();
         assert!(error.contains(word), "{error}");
     }
 }
@@ -129,13 +166,37 @@ fn an_unknown_setting_is_an_error() {
 fn layouts_that_do_not_fit_are_refused() {
     let base = renamed(SMALL, &RENAMES);
     for (name, shape, message) in [
-        ("points_head.output_blocks.4.weight", Some(vec![4, 32, 1, 1]), "points_head does not end in 3"),
-        ("mask_head.output_blocks.4.weight", None, "mask_head does not end in 1"),
-        ("neck.input_blocks.2.weight", Some(vec![128, 3, 1, 1]), "neck.input_blocks.2"),
-        ("mask_head.input_blocks.1.weight", Some(vec![256, 7, 1, 1]), "mask_head.input_blocks.1"),
+        (
+            "points_head.output_blocks.4.weight",
+            Some(vec![4, 32, 1, 1]),
+            "points_head does not end in 3",
+        ),
+        (
+            "mask_head.output_blocks.4.weight",
+            None,
+            "mask_head does not end in 1",
+        ),
+        (
+            "neck.input_blocks.2.weight",
+            Some(vec![128, 3, 1, 1]),
+            "neck.input_blocks.2",
+        ),
+        (
+            "mask_head.input_blocks.1.weight",
+            Some(vec![256, 7, 1, 1]),
+            "mask_head.input_blocks.1",
+        ),
         ("scale_head.layers.2.weight", None, "scale_head"),
-        ("encoder.output_projections.0.weight", None, "output_projections"),
-        ("neck.resamplers.0.conv.weight", Some(vec![1 << 20, 256, 3, 3]), "too large"),
+        (
+            "encoder.output_projections.0.weight",
+            None,
+            "output_projections",
+        ),
+        (
+            "neck.resamplers.0.conv.weight",
+            Some(vec![1 << 20, 256, 3, 3]),
+            "too large",
+        ),
     ] {
         let mut shapes = base.clone();
         match shape {

@@ -14,7 +14,8 @@ pub trait Function {
     fn lanes<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S>;
 }
 
-/// `x` changed by `change` where its numbers are of 32 bits on the processor, else `otherwise` of it.
+/// `x` changed by `change` where its numbers are of 32 bits on the processor, else `otherwise` of
+/// it.
 pub fn changed<const D: usize>(
     x: Tensor<D>,
     change: impl Fn(&mut [f32]),
@@ -39,7 +40,9 @@ pub fn changed<const D: usize>(
 
 fn on_processor<F: Function>(values: &mut [f32]) {
     let level = Level::new();
-    values.par_chunks_mut(CHUNK).for_each(|chunk| dispatch!(level, s => each::<_, F>(s, chunk)));
+    values
+        .par_chunks_mut(CHUNK)
+        .for_each(|chunk| dispatch!(level, s => each::<_, F>(s, chunk)));
 }
 
 #[inline(always)]
@@ -102,7 +105,8 @@ pub(super) fn keep_nan<S: Simd>(x: f32x16<S>, y: f32x16<S>) -> f32x16<S> {
     x.simd_eq(x).select(y, x)
 }
 
-/// `e^x` for `x <= 0` as `p (1 + r)` with a power of two `p`: both, so that `e^x - 1` loses nothing near 0. Saturates at -80.
+/// `e^x` for `x <= 0` as `p (1 + r)` with a power of two `p`: both, so that `e^x - 1` loses nothing
+/// near 0. Saturates at -80.
 #[inline(always)]
 pub(super) fn exp_parts<S: Simd>(s: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
     let x = x.max(all(s, -80.0));
@@ -121,21 +125,34 @@ pub(super) fn exp_parts<S: Simd>(s: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
     (f32x16::from_bits(one + (exponent << 23u32)), p * f)
 }
 
-/// Burn's own GELU takes `erf` from a library, a number at a time: 38% of the time of a network that was measured. Here `erf(x)` is
-/// `x P(x^2) / Q(x^2)` on [-4, 4], beyond which it is 1 in 32 bits (the coefficients that Eigen and XLA use); `P`, the highest power
-/// first.
-const P: [f32; 7] =
-    [-2.726_142_3e-10, 2.770_681_4e-8, -2.101_024e-6, -5.692_506_5e-5, -7.349_906_5e-4, -2.954_6e-3, -1.609_603_3e-2];
+/// Burn's own GELU takes `erf` from a library, a number at a time: 38% of the time of a network
+/// that was measured. Here `erf(x)` is `x P(x^2) / Q(x^2)` on [-4, 4], beyond which it is 1 in 32
+/// bits (the coefficients that Eigen and XLA use); `P`, the highest power first.
+const P: [f32; 7] = [
+    -2.726_142_3e-10,
+    2.770_681_4e-8,
+    -2.101_024e-6,
+    -5.692_506_5e-5,
+    -7.349_906_5e-4,
+    -2.954_6e-3,
+    -1.609_603_3e-2,
+];
 /// `Q`, the highest power first.
-const Q: [f32; 5] = [-1.456_607_2e-5, -2.133_740_6e-4, -1.682_827e-3, -7.373_329e-3, -1.426_474e-2];
-/// `x Phi(x)` of every number, where `Phi` is the normal distribution; within 1e-6 of its definition, relative to
-/// `1 + |x|`.
+const Q: [f32; 5] = [
+    -1.456_607_2e-5,
+    -2.133_740_6e-4,
+    -1.682_827e-3,
+    -7.373_329e-3,
+    -1.426_474e-2,
+];
+/// `x Phi(x)` of every number, where `Phi` is the normal distribution; within 1e-6 of its
+/// definition, relative to `1 + |x|`.
 pub fn gelu<const D: usize>(x: Tensor<D>) -> Tensor<D> {
     changed(x, on_processor::<Gelu>, activation::gelu)
 }
 
-/// What is trained instead of it at times, `x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3))) / 2` of every number; within 2e-6 of its
-/// definition, relative to `1 + |x|`.
+/// What is trained instead of it at times, `x (1 + tanh(sqrt(2 / pi) (x + 0.044715 x^3))) / 2` of
+/// every number; within 2e-6 of its definition, relative to `1 + |x|`.
 pub fn gelu_by_tanh<const D: usize>(x: Tensor<D>) -> Tensor<D> {
     changed(x, on_processor::<GeluByTanh>, |x| {
         let square = x.clone() * x.clone();
@@ -166,7 +183,9 @@ impl Function for Gelu {
     fn lanes<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
         let all = |value: f32| f32x16::splat(s, value);
         let half = x * all(0.5);
-        let z = (x * all(std::f32::consts::FRAC_1_SQRT_2)).min(all(4.0)).max(all(-4.0));
+        let z = (x * all(std::f32::consts::FRAC_1_SQRT_2))
+            .min(all(4.0))
+            .max(all(-4.0));
         let square = z * z;
         let mut p = all(P[0]);
         for &c in &P[1..] {
@@ -194,26 +213,47 @@ mod tests {
     #[test]
     fn agree_with_their_definitions() {
         let n = 50_003;
-        let xs: Vec<f32> =
-            (0..n).map(|i| (i as f32 / n as f32 - 0.5) * 40.0).chain((0..40).map(|k| 0.7_f32.powi(k))).collect();
-        let pairs = [(of(sigmoid, &xs), (|x| 1.0 / (1.0 + (-x).exp())) as fn(f64) -> f64), (of(tanh, &xs), f64::tanh)];
+        let xs: Vec<f32> = (0..n)
+            .map(|i| (i as f32 / n as f32 - 0.5) * 40.0)
+            .chain((0..40).map(|k| 0.7_f32.powi(k)))
+            .collect();
+        let pairs = [
+            (
+                of(sigmoid, &xs),
+                (|x| 1.0 / (1.0 + (-x).exp())) as fn(f64) -> f64,
+            ),
+            (of(tanh, &xs), f64::tanh),
+        ];
         for (got, want) in pairs {
             for (&x, got) in xs.iter().zip(got) {
                 let want = want(f64::from(x));
                 let error = (f64::from(got) - want).abs();
-                assert!(error <= 1e-6 * want.abs(), "{x}: {got} where {want} was expected");
+                assert!(
+                    error <= 1e-6 * want.abs(),
+                    "{x}: {got} where {want} was expected"
+                );
             }
         }
     }
 
     #[test]
     fn gates_of_extreme_inputs_stay_within_bounds() {
-        let xs = [f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 0.0, -0.0, f32::NAN];
+        let xs = [
+            f32::INFINITY,
+            f32::NEG_INFINITY,
+            1e30,
+            -1e30,
+            0.0,
+            -0.0,
+            f32::NAN,
+        ];
         let got = of(tanh, &xs);
         assert_eq!(got[..6], [1.0, -1.0, 1.0, -1.0, 0.0, -0.0]);
         assert!(got[6].is_nan());
         let got = of(sigmoid, &xs);
-        assert!(got[0] == 1.0 && got[2] == 1.0 && got[4] == 0.5 && got[5] == 0.5 && got[6].is_nan());
+        assert!(
+            got[0] == 1.0 && got[2] == 1.0 && got[4] == 0.5 && got[5] == 0.5 && got[6].is_nan()
+        );
         assert!(got[1] < 1e-30 && got[3] < 1e-30 && got[1] >= 0.0, "{got:?}");
     }
 
@@ -230,17 +270,24 @@ mod tests {
     #[test]
     fn gelus_agree_with_their_definitions() {
         assert!((erf(1.0) - 0.842_700_792_949_714_9).abs() < 1e-15);
-        let xs: Vec<f32> = (0..70_003).map(|i| (i as f32 / 70_003.0 - 0.5) * 14.0).collect();
+        let xs: Vec<f32> = (0..70_003)
+            .map(|i| (i as f32 / 70_003.0 - 0.5) * 14.0)
+            .collect();
         let exact = |x: f64| match x / std::f64::consts::SQRT_2 {
             z if z.abs() < 4.5 => 0.5 * x * (1.0 + erf(z)),
             z => 0.5 * x * (1.0 + z.signum()),
         };
-        let by_tanh =
-            |x: f64| 0.5 * x * (1.0 + ((2.0 / std::f64::consts::PI).sqrt() * (x + 0.044_715 * x * x * x)).tanh());
+        let by_tanh = |x: f64| {
+            0.5 * x
+                * (1.0 + ((2.0 / std::f64::consts::PI).sqrt() * (x + 0.044_715 * x * x * x)).tanh())
+        };
         let check = |got: Vec<f32>, want: &dyn Fn(f64) -> f64, limit: f64| {
             for (x, got) in xs.iter().map(|&x| f64::from(x)).zip(got) {
                 let want = want(x);
-                assert!((f64::from(got) - want).abs() < limit * (1.0 + x.abs()), "{x}: {got}, not {want}");
+                assert!(
+                    (f64::from(got) - want).abs() < limit * (1.0 + x.abs()),
+                    "{x}: {got}, not {want}"
+                );
             }
         };
         check(of(gelu, &xs), &exact, 1e-6);
@@ -252,7 +299,10 @@ mod tests {
         let xs = [0.0, -0.0, f32::INFINITY, 1e30, -1e30, f32::NAN];
         for (got, far) in [(of(gelu, &xs), 1e24), (of(gelu_by_tanh, &xs), 1.0)] {
             assert_eq!(got[..3], [0.0, 0.0, f32::INFINITY]);
-            assert!((got[3] - 1e30).abs() < 1e24 && got[4].abs() < far, "{got:?}");
+            assert!(
+                (got[3] - 1e30).abs() < 1e24 && got[4].abs() < far,
+                "{got:?}"
+            );
             assert!(got[5].is_nan());
         }
     }

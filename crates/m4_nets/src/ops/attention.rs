@@ -10,8 +10,8 @@ use rayon::prelude::*;
 /// Scores that are held at a time on the processor (16 MB) and elsewhere.
 const SCORES: [usize; 2] = [1 << 22, 1 << 26];
 
-/// `softmax(q k^T / sqrt(c)) v` of every head: `q` `[b, heads, n, c]`, `k` `[b, heads, m, c]` and `v` `[b, heads, m, d]` give
-/// `[b, heads, n, d]`.
+/// `softmax(q k^T / sqrt(c)) v` of every head: `q` `[b, heads, n, c]`, `k` `[b, heads, m, c]` and
+/// `v` `[b, heads, m, d]` give `[b, heads, n, d]`.
 pub fn attend_heads(q: Tensor<4>, k: Tensor<4>, v: Tensor<4>) -> Tensor<4> {
     let [_, _, _, c] = q.dims();
     let [b, heads, m, _] = k.dims();
@@ -27,7 +27,8 @@ const LANES: usize = 16;
 /// Numbers of one task, at least a row.
 const CHUNK: usize = 1 << 15;
 
-/// `e^x` of every number of `x` `[.., n]`, divided by the sum over the last axis. Sums are made in a fixed order.
+/// `e^x` of every number of `x` `[.., n]`, divided by the sum over the last axis. Sums are made in
+/// a fixed order.
 pub fn softmax_rows<const D: usize>(x: Tensor<D>) -> Tensor<D> {
     match x.dims()[D - 1] {
         0 => x,
@@ -37,7 +38,9 @@ pub fn softmax_rows<const D: usize>(x: Tensor<D>) -> Tensor<D> {
 
 fn on_processor(values: &mut [f32], n: usize) {
     let level = Level::new();
-    values.par_chunks_mut((CHUNK / n).max(1) * n).for_each(|rows| dispatch!(level, s => each(s, rows, n)));
+    values
+        .par_chunks_mut((CHUNK / n).max(1) * n)
+        .for_each(|rows| dispatch!(level, s => each(s, rows, n)));
 }
 
 #[inline(always)]
@@ -92,12 +95,22 @@ mod tests {
     fn chunked_attention_equals_the_whole() {
         for [b, heads, n, m, c, d] in [[2, 3, 70, 50, 16, 16], [1, 1, 900, 5000, 8, 4]] {
             let input = |key: &str, shape: [usize; 4]| -> Tensor<4> {
-                tensor(formula_input(key, 0.0, 2.0, shape.iter().product()), shape, &cpu())
+                tensor(
+                    formula_input(key, 0.0, 2.0, shape.iter().product()),
+                    shape,
+                    &cpu(),
+                )
             };
             let q = input("q", [b, heads, n, c]);
             let (k, v) = (input("k", [b, heads, m, c]), input("v", [b, heads, m, d]));
-            let scores = q.clone().matmul(k.clone().swap_dims(2, 3)).div_scalar((c as f32).sqrt());
-            let want: Vec<f32> = softmax(scores, 3).matmul(v.clone()).try_into_vec_as().unwrap();
+            let scores = q
+                .clone()
+                .matmul(k.clone().swap_dims(2, 3))
+                .div_scalar((c as f32).sqrt());
+            let want: Vec<f32> = softmax(scores, 3)
+                .matmul(v.clone())
+                .try_into_vec_as()
+                .unwrap();
             let got: Vec<f32> = attend_heads(q, k, v).try_into_vec_as().unwrap();
             assert_eq!(got.len(), b * heads * n * d);
             assert_close("attention", &got, &want, 1e-5);
@@ -113,10 +126,20 @@ mod tests {
         for (rows, n) in [(3, 1), (5, 16), (7, 77), (2, 5000), (70, 64)] {
             let x: Tensor<2> = tensor(formula_input("x", 3.0, 30.0, rows * n), [rows, n], &cpu());
             let got = numbers(softmax_rows(x.clone()));
-            for (row, (got, want)) in got.chunks(n).zip(numbers(softmax(x, 1)).chunks(n)).enumerate() {
-                assert!((got.iter().sum::<f32>() - 1.0).abs() < 1e-5, "row {row} of {n}");
+            for (row, (got, want)) in got
+                .chunks(n)
+                .zip(numbers(softmax(x, 1)).chunks(n))
+                .enumerate()
+            {
+                assert!(
+                    (got.iter().sum::<f32>() - 1.0).abs() < 1e-5,
+                    "row {row} of {n}"
+                );
                 for (a, b) in got.iter().zip(want) {
-                    assert!((a - b).abs() <= 2e-6 * b + 1e-30, "row {row} of {n}: {a} for {b}");
+                    assert!(
+                        (a - b).abs() <= 2e-6 * b + 1e-30,
+                        "row {row} of {n}: {a} for {b}"
+                    );
                 }
             }
         }

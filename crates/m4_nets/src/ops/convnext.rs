@@ -1,4 +1,5 @@
-//! A block of `ConvNeXt` (Liu et al., "A ConvNet for the 2020s", CVPR 2022), as SAM 2 and UniDepth have it.
+//! A block of `ConvNeXt` (Liu et al., "A ConvNet for the 2020s", CVPR 2022), as SAM 2 and UniDepth
+//! have it.
 
 use super::{depthwise7, gelu, in_parts, linear, zeros};
 use burn_core as burn;
@@ -37,7 +38,10 @@ impl ConvNext {
         let [b, h, w, c] = x.dims();
         let each = self.dwconv.forward(x.clone().permute([0, 3, 1, 2]));
         let pixels = each.permute([0, 2, 3, 1]).reshape([b * h * w, c]);
-        let y = in_parts(pixels, 0, PIXELS, |y| self.pwconv2.forward(gelu(self.pwconv1.forward(self.norm.forward(y)))));
+        let y = in_parts(pixels, 0, PIXELS, |y| {
+            self.pwconv2
+                .forward(gelu(self.pwconv1.forward(self.norm.forward(y))))
+        });
         x + (y * self.gamma.val().unsqueeze()).reshape([b, h, w, c])
     }
 }

@@ -1,4 +1,5 @@
-//! Rows of numbers in another length, as PyTorch and OpenCV resize images. The centre of number `i` is at `i + 1/2`.
+//! Rows of numbers in another length, as PyTorch and OpenCV resize images. The centre of number `i`
+//! is at `i + 1/2`.
 
 use super::{planes, tensor};
 use burn_core::tensor::{Device, Tensor};
@@ -17,7 +18,8 @@ struct Kernel {
 pub struct Kernels(Vec<Kernel>);
 
 impl Kernels {
-    /// Cubic with a = -0.75 between four neighbours, edges repeated, without antialiasing: `INTER_CUBIC` of OpenCV, `bicubic` of PyTorch.
+    /// Cubic with a = -0.75 between four neighbours, edges repeated, without antialiasing:
+    /// `INTER_CUBIC` of OpenCV, `bicubic` of PyTorch.
     pub fn cubic(from: usize, to: usize) -> Self {
         Self::cubic_by_step(from, to, from as f64 / to as f64)
     }
@@ -32,7 +34,8 @@ impl Kernels {
         })
     }
 
-    /// Linear between two neighbours, edges repeated, without antialiasing: `bilinear` of PyTorch with `align_corners=False`.
+    /// Linear between two neighbours, edges repeated, without antialiasing: `bilinear` of PyTorch
+    /// with `align_corners=False`.
     pub fn linear(from: usize, to: usize) -> Self {
         let step = from as f64 / to as f64;
         Self::of(to, |i| {
@@ -42,7 +45,8 @@ impl Kernels {
         })
     }
 
-    /// A triangle that is as wide as a new number where the row becomes shorter: `bilinear` of PyTorch with `antialias=True`.
+    /// A triangle that is as wide as a new number where the row becomes shorter: `bilinear` of
+    /// PyTorch with `antialias=True`.
     pub fn triangle(from: usize, to: usize) -> Self {
         let step = from as f64 / to as f64;
         let reach = step.max(1.0);
@@ -87,46 +91,72 @@ fn neighbours(first: i64, weights: &[f64], from: usize) -> Kernel {
     for (j, weight) in (first..).zip(weights) {
         gathered[(at(j) - start) as usize] += weight;
     }
-    Kernel { first: start as usize, weights: gathered.iter().map(|&w| w as f32).collect() }
+    Kernel {
+        first: start as usize,
+        weights: gathered.iter().map(|&w| w as f32).collect(),
+    }
 }
 
 /// The cubic of Keys with a = -0.75 at the distance `x` from 0 to 2.
 fn cubic(x: f64) -> f64 {
     const A: f64 = -0.75;
-    if x <= 1.0 { ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0 } else { ((A * x - 5.0 * A) * x + 8.0 * A) * x - 4.0 * A }
+    if x <= 1.0 {
+        ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0
+    } else {
+        ((A * x - 5.0 * A) * x + 8.0 * A) * x - 4.0 * A
+    }
 }
 
-/// Planes `[n][height][width]` (`width` numbers per row) with columns and rows of other numbers: along rows, then along columns.
-pub fn resampled(planes: &[f32], width: usize, height: usize, columns: &Kernels, rows: &Kernels) -> Vec<f32> {
+/// Planes `[n][height][width]` (`width` numbers per row) with columns and rows of other numbers:
+/// along rows, then along columns.
+pub fn resampled(
+    planes: &[f32],
+    width: usize,
+    height: usize,
+    columns: &Kernels,
+    rows: &Kernels,
+) -> Vec<f32> {
     let (to_width, to_height) = (columns.to(), rows.to());
     let planes_count = planes.len().checked_div(width * height).unwrap_or(0);
     let mut narrow = vec![0.0f32; planes_count * height * to_width];
     if narrow.is_empty() || to_height == 0 {
         return Vec::new();
     }
-    narrow.par_chunks_mut(to_width).zip(planes.par_chunks(width)).for_each(|(out, row)| {
-        for (out, kernel) in out.iter_mut().zip(&columns.0) {
-            let near = row[kernel.first..].iter().zip(&kernel.weights);
-            *out = near.map(|(x, w)| x * w).sum();
-        }
-    });
-    let mut out = vec![0.0f32; planes_count * to_height * to_width];
-    out.par_chunks_mut(to_width).enumerate().for_each(|(i, out)| {
-        let (plane, y) = (i / to_height, i % to_height);
-        let kernel = &rows.0[y];
-        let near = narrow[(plane * height + kernel.first) * to_width..].chunks_exact(to_width);
-        for (row, &weight) in near.zip(&kernel.weights) {
-            for (out, x) in out.iter_mut().zip(row) {
-                *out += x * weight;
+    narrow
+        .par_chunks_mut(to_width)
+        .zip(planes.par_chunks(width))
+        .for_each(|(out, row)| {
+            for (out, kernel) in out.iter_mut().zip(&columns.0) {
+                let near = row[kernel.first..].iter().zip(&kernel.weights);
+                *out = near.map(|(x, w)| x * w).sum();
             }
-        }
-    });
+        });
+    let mut out = vec![0.0f32; planes_count * to_height * to_width];
+    out.par_chunks_mut(to_width)
+        .enumerate()
+        .for_each(|(i, out)| {
+            let (plane, y) = (i / to_height, i % to_height);
+            let kernel = &rows.0[y];
+            let near = narrow[(plane * height + kernel.first) * to_width..].chunks_exact(to_width);
+            for (row, &weight) in near.zip(&kernel.weights) {
+                for (out, x) in out.iter_mut().zip(row) {
+                    *out += x * weight;
+                }
+            }
+        });
     out
 }
 
-/// Planes `[n][height][width]` of the size `from` in the size `to` (width, height), bilinear without antialiasing.
+/// Planes `[n][height][width]` of the size `from` in the size `to` (width, height), bilinear
+/// without antialiasing.
 pub fn bilinear(planes: &[f32], from: (usize, usize), to: (usize, usize)) -> Vec<f32> {
-    resampled(planes, from.0, from.1, &Kernels::linear(from.0, to.0), &Kernels::linear(from.1, to.1))
+    resampled(
+        planes,
+        from.0,
+        from.1,
+        &Kernels::linear(from.0, to.0),
+        &Kernels::linear(from.1, to.1),
+    )
 }
 
 /// `plane` in another `size`, bilinear without antialiasing.
@@ -144,7 +174,13 @@ pub fn image_tensor(
     device: &Device,
 ) -> Tensor<4> {
     let (w, h) = image.size();
-    let values = resampled(&planes(image, mean, std), w, h, &kernels(w, width), &kernels(h, height));
+    let values = resampled(
+        &planes(image, mean, std),
+        w,
+        h,
+        &kernels(w, width),
+        &kernels(h, height),
+    );
     tensor(values, [1, 3, height, width], device)
 }
 
@@ -199,7 +235,9 @@ mod tests {
         let (across, down) = (columns.matrix(w), rows.matrix(h));
         for (i, got) in both[..18].iter().enumerate() {
             let (x, y) = (i % 9, i / 9);
-            let want: f32 = (0..20).map(|j| plane[j] * across[x * w + j % w] * down[y * h + j / w]).sum();
+            let want: f32 = (0..20)
+                .map(|j| plane[j] * across[x * w + j % w] * down[y * h + j / w])
+                .sum();
             assert!((got - want).abs() < 1e-4, "{x}, {y}: {got} for {want}");
         }
         assert!(resampled(&[], 0, 0, &columns, &rows).is_empty());

@@ -1,8 +1,10 @@
 //! RAFT: optical flow by repeated lookups in all-pairs correlations.
 //!
-//! - Paper: Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV 2020; the section numbers in this
-//!   folder are its. The large model, as `MegaSaM` runs it (docs/spec/front-end.md 1.7).
-//! - Upstream: princeton-vl/RAFT, BSD-3. Weights: the entry `raft-things` of `minute4d weights list`, 5,257,536 learned numbers.
+//! - Paper: Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV
+//!   2020; the section numbers in this folder are its. The large model, as `MegaSaM` runs it
+//!   (docs/spec/front-end.md 1.7).
+//! - Upstream: princeton-vl/RAFT, BSD-3. Weights: the entry `raft-things` of
+//!   `minute4d weights list`, 5,257,536 learned numbers.
 //!
 //! ```text
 //! image --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context
@@ -11,8 +13,9 @@
 //! hidden state --mask head--> weights of upsampling;  flow at 1/8 --convex upsampling--> flow
 //! ```
 //!
-//! [`Raft::encode`] keeps what depends on one image alone; both directions of a pair share it and are computed side by side.
-//! Inside, maps are `[n, channels, height, width]`; flow is in 32 bits whatever the type of the weights.
+//! [`Raft::encode`] keeps what depends on one image alone; both directions of a pair share it and
+//! are computed side by side. Inside, maps are `[n, channels, height, width]`; flow is in 32 bits
+//! whatever the type of the weights.
 
 #[cfg(test)]
 mod tests;
@@ -37,8 +40,8 @@ const WIDTH: usize = 256;
 const LEVELS: usize = 4;
 /// How far lookups reach, in pixels of each level.
 const RADIUS: usize = 4;
-/// Sides are padded to this at least: the coarsest level then has two pixels per side, the fewest that the published network can
-/// look up in.
+/// Sides are padded to this at least: the coarsest level then has two pixels per side, the fewest
+/// that the published network can look up in.
 const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
 
 /// The flow of one direction of a pair.
@@ -46,7 +49,8 @@ const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
 pub struct RaftFlow {
     /// In the image's size.
     pub flow: Flow,
-    /// At an eighth of the padded image's size, in pixels of that size: what another pair that ends in the same image may start from.
+    /// At an eighth of the padded image's size, in pixels of that size: what another pair that ends
+    /// in the same image may start from.
     pub low: Flow,
 }
 
@@ -103,8 +107,8 @@ impl Net {
 }
 
 impl Raft {
-    /// The network with the weights of the checkpoint at `path`, on `device`. Names may begin with `module.`, as in the published
-    /// files.
+    /// The network with the weights of the checkpoint at `path`, on `device`. Names may begin with
+    /// `module.`, as in the published files.
     ///
     /// # Errors
     ///
@@ -113,7 +117,10 @@ impl Raft {
         let on: Compute = on.into();
         let mut net = Net::new(&on.device);
         load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
-        Ok(Self { net: on.fit(net), device: on.device })
+        Ok(Self {
+            net: on.fit(net),
+            device: on.device,
+        })
     }
 
     /// What the network keeps of `image`.
@@ -125,7 +132,11 @@ impl Raft {
         let padding = Padding::of(image.size())?;
         let image = padding.tensor(image, &self.device);
         let image = image.cast(self.net.fnet.dtype());
-        let compared = self.net.fnet.forward(image.clone(), Norm::Instance).squeeze_dim::<3>(0);
+        let compared = self
+            .net
+            .fnet
+            .forward(image.clone(), Norm::Instance)
+            .squeeze_dim::<3>(0);
         let compared = compared.permute([1, 2, 0]);
         let state = self.net.cnet.forward(image, Norm::Batch);
         Ok(Features {
@@ -137,13 +148,13 @@ impl Raft {
         })
     }
 
-    /// The flows from the image of `a` to that of `b`, and back, after `iterations` (22 are usual). They start from `init`, in
-    /// the same order, or from no motion.
+    /// The flows from the image of `a` to that of `b`, and back, after `iterations` (22 are usual).
+    /// They start from `init`, in the same order, or from no motion.
     ///
     /// # Errors
     ///
-    /// [`NetError`] if the images differ in size, `init` is not of their size or has too few numbers, there is no iteration, or the
-    /// device fails.
+    /// [`NetError`] if the images differ in size, `init` is not of their size or has too few
+    /// numbers, there is no iteration, or the device fails.
     pub fn flow_both(
         &self,
         a: &Features,
@@ -162,14 +173,18 @@ impl Raft {
             return refuse("flow needs at least one iteration; 22 are usual");
         }
         let update = &self.net.update_block;
-        let both = |of: fn(&Features) -> &Tensor<4>| Tensor::cat(vec![of(a).clone(), of(b).clone()], 0);
+        let both =
+            |of: fn(&Features) -> &Tensor<4>| Tensor::cat(vec![of(a).clone(), of(b).clone()], 0);
         let unit = update.gru.with_context(&both(|features| &features.context));
         let mut hidden = both(|features| &features.hidden);
         let dtype = hidden.dtype();
         let [_, _, h, w] = hidden.dims();
         let here = self.whole_positions(h, w);
         let mut flow = match init {
-            Some(init) => Tensor::cat(vec![self.start(init[0], h, w)?, self.start(init[1], h, w)?], 0),
+            Some(init) => Tensor::cat(
+                vec![self.start(init[0], h, w)?, self.start(init[1], h, w)?],
+                0,
+            ),
             None => Tensor::zeros([2, h, w, 2], (&self.device, DType::F32)),
         };
         for _ in 0..iterations {
@@ -179,8 +194,10 @@ impl Raft {
                 correlation::scores(&source.source, &target.target, at, RADIUS)
             };
             let found = Tensor::stack::<4>(vec![look(a, b, 0), look(b, a, 1)], 0);
-            let motion =
-                update.encoder.forward(channels_first(found).cast(dtype), channels_first(flow.clone()).cast(dtype));
+            let motion = update.encoder.forward(
+                channels_first(found).cast(dtype),
+                channels_first(flow.clone()).cast(dtype),
+            );
             hidden = unit.forward(hidden, &motion);
             let change = update.flow_head.forward(hidden.clone()).cast(DType::F32);
             flow = flow + change.permute([0, 2, 3, 1]);
@@ -190,7 +207,9 @@ impl Raft {
             let flow: Tensor<3> = flow.clone().narrow(0, i, 1).squeeze_dim(0);
             let weights = weights.clone().narrow(0, i, 1).squeeze_dim(0);
             Ok(RaftFlow {
-                flow: features.padding.crop(convex_upsample(flow.clone(), weights, FACTOR))?,
+                flow: features
+                    .padding
+                    .crop(convex_upsample(flow.clone(), weights, FACTOR))?,
                 low: read(flow)?,
             })
         };
@@ -199,7 +218,9 @@ impl Raft {
 
     /// Column and row of each pixel of a map, `[1, h, w, 2]`.
     fn whole_positions(&self, h: usize, w: usize) -> Tensor<4> {
-        let at = (0..h * w).flat_map(|i| [(i % w) as f32, (i / w) as f32]).collect();
+        let at = (0..h * w)
+            .flat_map(|i| [(i % w) as f32, (i / w) as f32])
+            .collect();
         self.in_32_bits(at, [1, h, w, 2])
     }
 
@@ -214,7 +235,12 @@ impl Raft {
                 low.u.len().min(low.v.len())
             ));
         }
-        let pairs = low.u.iter().zip(&low.v).flat_map(|(&u, &v)| [u, v]).collect();
+        let pairs = low
+            .u
+            .iter()
+            .zip(&low.v)
+            .flat_map(|(&u, &v)| [u, v])
+            .collect();
         Ok(self.in_32_bits(pairs, [1, h, w, 2]))
     }
 
@@ -228,7 +254,8 @@ fn channels_first(x: Tensor<4>) -> Tensor<4> {
     x.permute([0, 3, 1, 2])
 }
 
-/// An image in the middle of one whose sides are multiples of [`FACTOR`] and no less than [`LEAST`], its edges repeated.
+/// An image in the middle of one whose sides are multiples of [`FACTOR`] and no less than
+/// [`LEAST`], its edges repeated.
 #[derive(Debug, Clone, Copy)]
 struct Padding {
     size: (usize, usize),
@@ -242,18 +269,25 @@ impl Padding {
             return refuse("flow needs images with pixels");
         }
         let up = |side: usize| side.next_multiple_of(FACTOR).max(LEAST);
-        Ok(Self { size, padded: (up(size.0), up(size.1)) })
+        Ok(Self {
+            size,
+            padded: (up(size.0), up(size.1)),
+        })
     }
 
     /// Columns left of the image and rows above it.
     fn before(self) -> (usize, usize) {
-        ((self.padded.0 - self.size.0) / 2, (self.padded.1 - self.size.1) / 2)
+        (
+            (self.padded.0 - self.size.0) / 2,
+            (self.padded.1 - self.size.1) / 2,
+        )
     }
 
     /// The padded image from -1 to 1, `[1, 3, padded height, padded width]`.
     fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
         let ((width, height), (left, top)) = (self.padded, self.before());
-        let inside = |at: usize, before: usize, side: usize| at.saturating_sub(before).min(side - 1);
+        let inside =
+            |at: usize, before: usize, side: usize| at.saturating_sub(before).min(side - 1);
         let mut values = Vec::with_capacity(3 * width * height);
         for channel in 0..3 {
             for y in 0..height {
@@ -268,13 +302,26 @@ impl Padding {
     /// The flow of the image out of that of the padded one, `[padded height, padded width, 2]`.
     fn crop(self, flow: Tensor<3>) -> Result<Flow, NetError> {
         let (left, top) = self.before();
-        read(flow.narrow(0, top, self.size.1).narrow(1, left, self.size.0))
+        read(
+            flow.narrow(0, top, self.size.1)
+                .narrow(1, left, self.size.0),
+        )
     }
 }
 
 /// Flow `[height, width, 2]` off the device.
 fn read(flow: Tensor<3>) -> Result<Flow, NetError> {
     let [height, width, _] = flow.dims();
-    let (u, v) = numbers(flow)?.as_chunks::<2>().0.iter().map(|&[u, v]| (u, v)).unzip();
-    Ok(Flow { width, height, u, v })
+    let (u, v) = numbers(flow)?
+        .as_chunks::<2>()
+        .0
+        .iter()
+        .map(|&[u, v]| (u, v))
+        .unzip();
+    Ok(Flow {
+        width,
+        height,
+        u,
+        v,
+    })
 }

@@ -22,10 +22,15 @@ fn parts_agree_with_the_published_module() {
     let (net, fixture) = (network(), Fixture::open("raft/flow.safetensors"));
     let input = |name: &str| {
         let image = fixture.image(name);
-        Padding::of(image.size()).unwrap().tensor(&image, &net.device)
+        Padding::of(image.size())
+            .unwrap()
+            .tensor(&image, &net.device)
     };
     let maps = ["1", "2"].map(|i| {
-        let map = net.net.fnet.forward(input(&format!("image{i}")), Norm::Instance);
+        let map = net
+            .net
+            .fnet
+            .forward(input(&format!("image{i}")), Norm::Instance);
         let name = format!("fmap{i}_strided");
         assert_near(every_map(map.clone(), 8), &fixture, &name, LIMIT);
         map
@@ -36,7 +41,12 @@ fn parts_agree_with_the_published_module() {
     let [source, target] = maps.map(|map| map.squeeze_dim::<3>(0).permute([1, 2, 0]));
     let [h, w, _] = source.dims();
     let at = net.whole_positions(h, w).squeeze_dim::<3>(0) + 0.37;
-    let found = correlation::scores(&FeatureMap::new(source), &Pyramid::new(target, LEVELS), at, RADIUS);
+    let found = correlation::scores(
+        &FeatureMap::new(source),
+        &Pyramid::new(target, LEVELS),
+        at,
+        RADIUS,
+    );
     let found = channels_first(found.unsqueeze::<4>());
     assert_eq!(found.dims(), [1, 324, h, w]);
     assert_near(every_map(found, 4), &fixture, "corr_strided", LIMIT);
@@ -57,8 +67,12 @@ fn the_unit_is_the_published_one() {
     let got = gru.with_context(&context).forward(hidden.clone(), &motion);
     let x = Tensor::cat(vec![context, motion], 1);
     let want = gru.kernels().into_iter().fold(hidden, |h, [z, r, q]| {
-        let through = |h: Tensor<4>, kernel: &Conv2d| kernel.forward(Tensor::cat(vec![h, x.clone()], 1));
-        let (z, r) = (sigmoid(through(h.clone(), z)), sigmoid(through(h.clone(), r)));
+        let through =
+            |h: Tensor<4>, kernel: &Conv2d| kernel.forward(Tensor::cat(vec![h, x.clone()], 1));
+        let (z, r) = (
+            sigmoid(through(h.clone(), z)),
+            sigmoid(through(h.clone(), r)),
+        );
         let q = tanh(through(r * h.clone(), q));
         (z.ones_like() - z.clone()) * h + z * q
     });
@@ -73,7 +87,10 @@ fn half_precision_stays_near() {
     let net = network();
     let fixture = Fixture::open("raft/flow.safetensors");
     let images = ["image1", "image2"].map(|name| fixture.image(name));
-    let half = Raft { net: halved(net.net.clone()), device: net.device.clone() };
+    let half = Raft {
+        net: halved(net.net.clone()),
+        device: net.device.clone(),
+    };
     let [whole, half] = [&net, &half].map(|net| {
         let [a, b] = [0, 1].map(|i| net.encode(&images[i]).unwrap());
         let [flow, _] = net.flow_both(&a, &b, 2, None).unwrap();

@@ -9,7 +9,8 @@ use burn_nn::conv::Conv2d;
 
 /// Rows and columns of the image in a pixel of the map.
 pub const FACTOR: usize = 8;
-/// The checkpoint's weights of upsampling are this much too large: in training it balanced their gradients.
+/// The checkpoint's weights of upsampling are this much too large: in training it balanced their
+/// gradients.
 const MASK_SCALE: f32 = 0.25;
 
 /// Of the correlations around where the flow points, and of that flow: the motion.
@@ -23,7 +24,8 @@ pub struct MotionEncoder {
 }
 
 impl MotionEncoder {
-    /// Of `correlation` `[n, 324, h, w]` and `flow` `[n, 2, h, w]`: `[n, 128, h, w]`, whose last two channels are the flow.
+    /// Of `correlation` `[n, 324, h, w]` and `flow` `[n, 2, h, w]`: `[n, 128, h, w]`, whose last
+    /// two channels are the flow.
     pub fn forward(&self, correlation: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
         let layer = |x, conv| relu(convolve([x], conv));
         let correlation = layer(layer(correlation, &self.convc1), &self.convc2);
@@ -83,8 +85,14 @@ impl UpdateBlock {
                 conv: layer(64 + 192, WIDTH - 2, 3),
             },
             gru: SepConvGru::new(device),
-            flow_head: FlowHead { conv1: layer(WIDTH, 256, 3), conv2: layer(256, 2, 3) },
-            mask: MaskHead { hidden: layer(WIDTH, 256, 3), weights: layer(256, 9 * FACTOR * FACTOR, 1) },
+            flow_head: FlowHead {
+                conv1: layer(WIDTH, 256, 3),
+                conv2: layer(256, 2, 3),
+            },
+            mask: MaskHead {
+                hidden: layer(WIDTH, 256, 3),
+                weights: layer(256, 9 * FACTOR * FACTOR, 1),
+            },
         }
     }
 }
@@ -94,7 +102,8 @@ pub const WIDTH: usize = 128;
 /// Pixels that a kernel spans.
 const SPAN: usize = 5;
 
-/// What of `kernel`, of `[hidden, context, motion]` to [`WIDTH`] channels along one axis, the input number `i` meets.
+/// What of `kernel`, of `[hidden, context, motion]` to [`WIDTH`] channels along one axis, the input
+/// number `i` meets.
 fn part(kernel: &Conv2d, i: usize) -> Tensor<4> {
     kernel.weight.val().narrow(1, i * WIDTH, WIDTH)
 }
@@ -151,15 +160,21 @@ impl SepConvGru {
     /// Kernels as they are, `z`, `r` and `q` of each axis.
     #[cfg(test)]
     pub fn kernels(&self) -> [[&Conv2d; 3]; 2] {
-        [[&self.convz1, &self.convr1, &self.convq1], [&self.convz2, &self.convr2, &self.convq2]]
+        [
+            [&self.convz1, &self.convr1, &self.convq1],
+            [&self.convz2, &self.convr2, &self.convq2],
+        ]
     }
 
     /// For the context `[n, 128, h, w]`.
     pub fn with_context(&self, context: &Tensor<4>) -> Unit {
         let pass = |z: &Conv2d, r: &Conv2d, q: &Conv2d| {
-            let layer = |weight: Tensor<4>, bias: Option<Tensor<1>>| with_weights(z.clone(), weight, bias);
+            let layer =
+                |weight: Tensor<4>, bias: Option<Tensor<1>>| with_weights(z.clone(), weight, bias);
             let of_context = |weight, bias| convolve([context.clone()], &layer(weight, bias));
-            let bias = [z, r].into_iter().filter_map(|kernel| kernel.bias.as_ref().map(Param::val));
+            let bias = [z, r]
+                .into_iter()
+                .filter_map(|kernel| kernel.bias.as_ref().map(Param::val));
             Pass {
                 gates: layer(Tensor::cat(vec![moving(z), moving(r)], 0), None),
                 candidate: layer(moving(q), None),
@@ -171,7 +186,10 @@ impl SepConvGru {
             }
         };
         Unit {
-            passes: [pass(&self.convz1, &self.convr1, &self.convq1), pass(&self.convz2, &self.convr2, &self.convq2)],
+            passes: [
+                pass(&self.convz1, &self.convr1, &self.convq1),
+                pass(&self.convz2, &self.convr2, &self.convq2),
+            ],
         }
     }
 }

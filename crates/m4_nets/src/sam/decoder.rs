@@ -1,5 +1,5 @@
-//! The decoder's transformer: tokens that look at the image and an image that looks at the tokens, in turn (Kirillov et al.,
-//! "Segment Anything", ICCV 2023, appendix A).
+//! The decoder's transformer: tokens that look at the image and an image that looks at the tokens,
+//! in turn (Kirillov et al., "Segment Anything", ICCV 2023, appendix A).
 
 use super::WIDTH;
 use crate::ops::{attend_heads, fine_norm, gelu, linear, norm, upscaling_conv};
@@ -84,11 +84,12 @@ impl Layer {
         }
     }
 
-    /// The tokens after their attention among themselves. In the first layer, where they are `places` itself, its result takes their
-    /// place.
+    /// The tokens after their attention among themselves. In the first layer, where they are
+    /// `places` itself, its result takes their place.
     fn among_themselves(&self, tokens: Tensor<3>, places: &Tensor<3>, first: bool) -> Tensor<3> {
         let tokens = if first {
-            self.self_attn.forward(tokens.clone(), tokens.clone(), tokens)
+            self.self_attn
+                .forward(tokens.clone(), tokens.clone(), tokens)
         } else {
             let placed = tokens.clone() + places.clone();
             tokens.clone() + self.self_attn.forward(placed.clone(), placed, tokens)
@@ -113,9 +114,14 @@ impl TwoWay {
         }
     }
 
-    /// `tokens` `[b, n, 256]` and the images' `pixels` `[b, m, 256]`, whose places are `grid` `[1, m, 256]`, after each has seen the
-    /// other.
-    pub fn forward(&self, tokens: Tensor<3>, pixels: Tensor<3>, grid: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+    /// `tokens` `[b, n, 256]` and the images' `pixels` `[b, m, 256]`, whose places are `grid`
+    /// `[1, m, 256]`, after each has seen the other.
+    pub fn forward(
+        &self,
+        tokens: Tensor<3>,
+        pixels: Tensor<3>,
+        grid: &Tensor<3>,
+    ) -> (Tensor<3>, Tensor<3>) {
         let places = tokens.clone();
         let (mut tokens, mut pixels) = (tokens, pixels);
         for (i, layer) in self.layers.iter().enumerate() {
@@ -154,7 +160,9 @@ pub struct Mlp {
 
 impl Mlp {
     pub fn new(to: usize, device: &Device) -> Self {
-        Self { layers: [WIDTH, WIDTH, to].map(|to| linear(WIDTH, to, true, device)) }
+        Self {
+            layers: [WIDTH, WIDTH, to].map(|to| linear(WIDTH, to, true, device)),
+        }
     }
 
     /// Of `[n, 256]`: `[n, to]`.
@@ -181,8 +189,8 @@ impl Upscaling {
         }
     }
 
-    /// Of `[b, h, w, 256]`: `[b, 4 h, 4 w, 32]`. `fine` are finer maps of the image to be added where sizes are those, `[1, 2 h, 2 w, 64]`
-    /// and `[1, 4 h, 4 w, 32]`, or `b` of them.
+    /// Of `[b, h, w, 256]`: `[b, 4 h, 4 w, 32]`. `fine` are finer maps of the image to be added
+    /// where sizes are those, `[1, 2 h, 2 w, 64]` and `[1, 4 h, 4 w, 32]`, or `b` of them.
     pub fn forward(&self, x: Tensor<4>, fine: Option<[Tensor<4>; 2]>) -> Tensor<4> {
         let [half, whole] = fine.map_or([None, None], |fine| fine.map(Some));
         let add = |x: Tensor<4>, fine: Option<Tensor<4>>| match fine {
@@ -194,14 +202,20 @@ impl Upscaling {
     }
 }
 
-/// `conv`, whose kernel and steps are 2 by 2, of `x` `[b, h, w, c]`: one matrix product, as its kernels do not overlap.
+/// `conv`, whose kernel and steps are 2 by 2, of `x` `[b, h, w, c]`: one matrix product, as its
+/// kernels do not overlap.
 fn doubled(conv: &ConvTranspose2d, x: Tensor<4>) -> Tensor<4> {
     let weight = conv.weight.val();
     let [c, to, _, _] = weight.dims();
     let [b, h, w, _] = x.dims();
     let weight = weight.permute([0, 2, 3, 1]).reshape([c, 4 * to]);
-    let spread = x.reshape([b * h * w, c]).matmul(weight).reshape([b, h, w, 2, 2, to]);
-    let x = spread.permute([0, 1, 3, 2, 4, 5]).reshape([b, 2 * h, 2 * w, to]);
+    let spread = x
+        .reshape([b * h * w, c])
+        .matmul(weight)
+        .reshape([b, h, w, 2, 2, to]);
+    let x = spread
+        .permute([0, 1, 3, 2, 4, 5])
+        .reshape([b, 2 * h, 2 * w, to]);
     match &conv.bias {
         Some(bias) => x + bias.val().reshape([1, 1, 1, to]),
         None => x,

@@ -18,7 +18,9 @@ pub struct Token {
 
 impl Token {
     pub fn new(rows: usize, device: &Device) -> Self {
-        Self { weight: zeros([rows, WIDTH], device) }
+        Self {
+            weight: zeros([rows, WIDTH], device),
+        }
     }
 }
 
@@ -31,13 +33,17 @@ struct Waves {
 
 impl Waves {
     fn new(device: &Device) -> Self {
-        Self { positional_encoding_gaussian_matrix: zeros([2, WIDTH / 2], device) }
+        Self {
+            positional_encoding_gaussian_matrix: zeros([2, WIDTH / 2], device),
+        }
     }
 
     /// Of places `[n, 2]`, columns and rows as parts of the image's side: `[n, 256]`.
     fn forward(&self, places: Tensor<2>) -> Tensor<2> {
         let centred = places.mul_scalar(2.0).sub_scalar(1.0);
-        let angles = centred.matmul(self.positional_encoding_gaussian_matrix.val()).mul_scalar(TAU);
+        let angles = centred
+            .matmul(self.positional_encoding_gaussian_matrix.val())
+            .mul_scalar(TAU);
         Tensor::cat(vec![angles.clone().sin(), angles.cos()], 1)
     }
 }
@@ -92,11 +98,13 @@ impl PromptEncoder {
         }
     }
 
-    /// The token `[1, 256]` of a place, column and row as parts of the image's side: 0 off the object, 1 on it, 2 the box's first corner,
-    /// 3 its last.
+    /// The token `[1, 256]` of a place, column and row as parts of the image's side: 0 off the
+    /// object, 1 on it, 2 the box's first corner, 3 its last.
     pub fn place(&self, at: [f32; 2], kind: usize) -> Tensor<2> {
         let known = self.point_embeddings[kind].weight.val();
-        self.pe_layer.forward(tensor(at.to_vec(), [1, 2], &known.device())) + known
+        self.pe_layer
+            .forward(tensor(at.to_vec(), [1, 2], &known.device()))
+            + known
     }
 
     /// The token `[1, 256]` of no place.
@@ -104,7 +112,8 @@ impl PromptEncoder {
         self.not_a_point_embed.weight.val()
     }
 
-    /// What masks `[b, 1, 4 h, 4 w]` add to an embedding, `[b, 256, h, w]`; what none adds, `[1, 256, 1, 1]`.
+    /// What masks `[b, 1, 4 h, 4 w]` add to an embedding, `[b, 256, h, w]`; what none adds,
+    /// `[1, 256, 1, 1]`.
     pub fn mask(&self, masks: Option<Tensor<4>>) -> Tensor<4> {
         match masks {
             Some(masks) => self.mask_downscaling.forward(masks),
@@ -112,10 +121,12 @@ impl PromptEncoder {
         }
     }
 
-    /// Of the centres of the pixels of a map of `h` rows and `w` columns, row by row: `[h * w, 256]`.
+    /// Of the centres of the pixels of a map of `h` rows and `w` columns, row by row:
+    /// `[h * w, 256]`.
     pub fn grid(&self, [h, w]: [usize; 2], device: &Device) -> Tensor<2> {
         let centre = |i: usize, n: usize| (i as f32 + 0.5) / n as f32;
         let places = (0..h * w).flat_map(|i| [centre(i % w, w), centre(i / w, h)]);
-        self.pe_layer.forward(tensor(places.collect(), [h * w, 2], device))
+        self.pe_layer
+            .forward(tensor(places.collect(), [h * w, 2], device))
     }
 }

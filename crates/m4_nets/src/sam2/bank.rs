@@ -1,4 +1,5 @@
-//! What is kept of an object: its masks, pointers and memories, and which of them another frame is seen in the light of.
+//! What is kept of an object: its masks, pointers and memories, and which of them another frame is
+//! seen in the light of.
 
 use super::recall::Answer;
 use super::video::Direction;
@@ -32,7 +33,12 @@ impl Entry {
         let mut logits = plane(answer.logits)?;
         prompts::fill(&mut logits, holes_px);
         Ok(Self {
-            mask: ObjectMask { logits, iou: answer.iou, candidates: answer.candidates, score: answer.score },
+            mask: ObjectMask {
+                logits,
+                iou: answer.iou,
+                candidates: answer.candidates,
+                score: answer.score,
+            },
             pointer: answer.pointer,
             memory: None,
             prompted,
@@ -66,7 +72,11 @@ impl Object {
     /// What is known of it in a frame, the newest.
     pub fn at(&self, frame: usize) -> Option<&Entry> {
         let pending = self.pending.get(&frame).map(|(entry, _)| entry);
-        let settled = || self.conditioning.get(&frame).or_else(|| self.others.get(&frame));
+        let settled = || {
+            self.conditioning
+                .get(&frame)
+                .or_else(|| self.others.get(&frame))
+        };
         pending.or_else(settled)
     }
 
@@ -92,10 +102,14 @@ impl Object {
         let before = |steps: usize| direction.before(frame, steps).filter(|&at| at < frames);
         let mut recall = Recall::default();
         for entry in self.conditioning.values() {
-            recall.memories.extend(entry.memory.clone().map(|m| (MEMORIES - 1, m)));
+            recall
+                .memories
+                .extend(entry.memory.clone().map(|m| (MEMORIES - 1, m)));
         }
         for steps in (1..=MEMORY_FRAMES).rev() {
-            let memory = before(steps).and_then(other).and_then(|entry| entry.memory.clone());
+            let memory = before(steps)
+                .and_then(other)
+                .and_then(|entry| entry.memory.clone());
             recall.memories.extend(memory.map(|m| (steps - 1, m)));
         }
         for (&at, entry) in &self.conditioning {
@@ -104,22 +118,29 @@ impl Object {
                 Direction::Backward => at >= frame,
             };
             if past {
-                recall.pointers.push((frame.abs_diff(at), entry.pointer.clone()));
+                recall
+                    .pointers
+                    .push((frame.abs_diff(at), entry.pointer.clone()));
             }
         }
         for steps in 1..pointer_frames(frames) {
             let Some(at) = before(steps) else { break };
-            recall.pointers.extend(other(at).map(|entry| (steps, entry.pointer.clone())));
+            recall
+                .pointers
+                .extend(other(at).map(|entry| (steps, entry.pointer.clone())));
         }
         recall
     }
 
-    /// Forgets what no frame near `head` or near one that the caller prompted is seen in the light of.
+    /// Forgets what no frame near `head` or near one that the caller prompted is seen in the light
+    /// of.
     pub fn forget(&mut self, head: usize) {
         let shown = self.conditioning.keys().chain(self.pending.keys()).copied();
         let anchors: Vec<usize> = shown.chain([head]).collect();
-        let near = |at: usize, reach: usize| anchors.iter().any(|&anchor| anchor.abs_diff(at) <= reach);
-        self.others.retain(|&at, entry| entry.prompted || near(at, POINTER_FRAMES));
+        let near =
+            |at: usize, reach: usize| anchors.iter().any(|&anchor| anchor.abs_diff(at) <= reach);
+        self.others
+            .retain(|&at, entry| entry.prompted || near(at, POINTER_FRAMES));
         for (&at, entry) in &mut self.others {
             if !entry.prompted && !near(at, MEMORY_FRAMES) {
                 entry.memory = None;
@@ -136,13 +157,15 @@ pub fn pointer_frames(frames: usize) -> usize {
 /// The mask of an object in an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectMask {
-    /// `[256][256]` (or as many as the network's side gives), over the whole image, which is squeezed to that
-    /// square: above 0 where the object is. May be part of another [`Prompt`](crate::Prompt). All -1024 where a clip's object is
-    /// not there.
+    /// `[256][256]` (or as many as the network's side gives), over the whole image, which is
+    /// squeezed to that square: above 0 where the object is. May be part of another
+    /// [`Prompt`](crate::Prompt). All -1024 where a clip's object is not there.
     pub logits: Plane<f32>,
-    /// How well the network thinks that the mask fits: its intersection with the true one over their union, from 0 to 1.
+    /// How well the network thinks that the mask fits: its intersection with the true one over
+    /// their union, from 0 to 1.
     pub iou: f32,
-    /// The `iou` of all masks that this one was chosen from: three where the prompt was ambiguous or there was none, else its own.
+    /// The `iou` of all masks that this one was chosen from: three where the prompt was ambiguous
+    /// or there was none, else its own.
     pub candidates: Vec<f32>,
     /// Whether the network thinks that the object is in the image: the more above 0, the surer.
     pub score: f32,
@@ -155,7 +178,8 @@ impl ObjectMask {
         self.score > 0.0
     }
 
-    /// The logits for an image of `size`, columns and rows, bilinear; empty where that has no pixels.
+    /// The logits for an image of `size`, columns and rows, bilinear; empty where that has no
+    /// pixels.
     #[must_use]
     pub fn logits_at(&self, size: (usize, usize)) -> Plane<f32> {
         if size.0.min(size.1) == 0 || self.logits.data().is_empty() {

@@ -23,7 +23,8 @@ impl Sam2Size {
     pub(super) fn of(shapes: &Shapes) -> Option<Self> {
         let width = *shapes.get(&format!("{TRUNK}pos_embed"))?.get(1)?;
         let norms = shapes.keys().filter_map(|name| name.strip_prefix(TRUNK));
-        let depth = norms.filter(|name| name.starts_with("blocks.") && name.ends_with(".norm1.weight"));
+        let depth =
+            norms.filter(|name| name.starts_with("blocks.") && name.ends_with(".norm1.weight"));
         let depth = depth.count();
         let fits = |size: &Self| {
             let config = size.config();
@@ -95,7 +96,8 @@ impl Config {
         self.width << stage
     }
 
-    /// All blocks. The first of a stage works in the windows of the stage before, in whose resolution it starts.
+    /// All blocks. The first of a stage works in the windows of the stage before, in whose
+    /// resolution it starts.
     pub fn blocks(&self) -> Vec<BlockConfig> {
         let mut blocks = Vec::new();
         for (stage, &count) in self.stages.iter().enumerate() {

@@ -1,4 +1,5 @@
-//! The mask decoder: four masks of a map of features and a prompt, how good each is thought to be, and whether the object is there.
+//! The mask decoder: four masks of a map of features and a prompt, how good each is thought to be,
+//! and whether the object is there.
 
 use super::hiera::Pointwise;
 use crate::ops::conv;
@@ -55,24 +56,33 @@ impl MaskDecoder {
         }
     }
 
-    /// The layers that make the [fine maps](Self::forward) of the two finest levels of the neck, the finest first.
+    /// The layers that make the [fine maps](Self::forward) of the two finest levels of the neck,
+    /// the finest first.
     pub fn fine(&self) -> [Pointwise; 2] {
         [Pointwise::of(&self.conv_s0), Pointwise::of(&self.conv_s1)]
     }
 
-    /// The transformer's part: tokens `[b, 6 + n, 256]` and pixels `[b, h w, 256]` after each has seen the other.
-    pub fn transformed(&self, map: Tensor<3>, grid: &Tensor<3>, prompts: Tensor<3>) -> (Tensor<3>, Tensor<3>) {
+    /// The transformer's part: tokens `[b, 6 + n, 256]` and pixels `[b, h w, 256]` after each has
+    /// seen the other.
+    pub fn transformed(
+        &self,
+        map: Tensor<3>,
+        grid: &Tensor<3>,
+        prompts: Tensor<3>,
+    ) -> (Tensor<3>, Tensor<3>) {
         let [b, _, _] = prompts.dims();
         let own = [&self.obj_score_token, &self.iou_token, &self.mask_tokens];
         let own = Tensor::cat(own.map(|token| token.weight.val()).to_vec(), 0);
         let own = own.unsqueeze_dim::<3>(0).expand([b, 2 + MASKS, WIDTH]);
         let [_, n, _] = map.dims();
         let map = map.expand([b, n, WIDTH]);
-        self.transformer.forward(Tensor::cat(vec![own, prompts], 1), map, grid)
+        self.transformer
+            .forward(Tensor::cat(vec![own, prompts], 1), map, grid)
     }
 
-    /// Of features with what is known of masks, `[b, h w, 256]` or one for all, the places of their pixels, `[1, h w, 256]`, the prompts'
-    /// tokens, `[b, n, 256]`, and finer maps, `[1, 2 h, 2 w, 64]` and `[1, 4 h, 4 w, 32]` or `b` of each.
+    /// Of features with what is known of masks, `[b, h w, 256]` or one for all, the places of their
+    /// pixels, `[1, h w, 256]`, the prompts' tokens, `[b, n, 256]`, and finer maps,
+    /// `[1, 2 h, 2 w, 64]` and `[1, 4 h, 4 w, 32]` or `b` of each.
     pub fn forward(
         &self,
         map: Tensor<3>,
@@ -83,17 +93,18 @@ impl MaskDecoder {
     ) -> Decoded {
         let (tokens, pixels) = self.transformed(map, grid, prompts);
         let [b, _, _] = tokens.dims();
-        let map = self.output_upscaling.forward(pixels.reshape([b, h, w, WIDTH]), Some([s1, s0])).reshape([
-            b,
-            16 * h * w,
-            MAP_WIDTH,
-        ]);
+        let map = self
+            .output_upscaling
+            .forward(pixels.reshape([b, h, w, WIDTH]), Some([s1, s0]))
+            .reshape([b, 16 * h * w, MAP_WIDTH]);
         let token = |i: usize| tokens.clone().narrow(1, i, 1).squeeze_dim::<2>(1);
         let of_masks = self.output_hypernetworks_mlps.iter().enumerate();
         let weights = of_masks.map(|(i, mlp)| mlp.forward(token(2 + i))).collect();
         let weights: Tensor<3> = Tensor::stack(weights, 1);
         Decoded {
-            masks: weights.matmul(map.swap_dims(1, 2)).reshape([b, MASKS, 4 * h, 4 * w]),
+            masks: weights
+                .matmul(map.swap_dims(1, 2))
+                .reshape([b, MASKS, 4 * h, 4 * w]),
             iou: sigmoid(self.iou_prediction_head.forward(token(1))),
             score: self.pred_obj_score_head.forward(token(0)),
             tokens: tokens.narrow(1, 2, MASKS),

@@ -1,9 +1,12 @@
-//! Hiera, the image encoder: four stages of blocks, each at half the resolution of the one before (Ryali et al., "Hiera: A Hierarchical
-//! Vision Transformer without the Bells-and-Whistles", ICML 2023), with positions that are a learned map stretched over the image
-//! and one repeated in windows (Bolya et al., "Window Attention is Bugged", ICLR 2024).
+//! Hiera, the image encoder: four stages of blocks, each at half the resolution of the one before
+//! (Ryali et al., "Hiera: A Hierarchical Vision Transformer without the Bells-and-Whistles", ICML
+//! 2023), with positions that are a learned map stretched over the image and one repeated in
+//! windows (Bolya et al., "Window Attention is Bugged", ICLR 2024).
 
 use super::config::{BlockConfig, Config};
-use crate::ops::{Kernels, attend_heads, conv, fine_norm, gelu, in_parts, linear, resampled, tensor, zeros};
+use crate::ops::{
+    Kernels, attend_heads, conv, fine_norm, gelu, in_parts, linear, resampled, tensor, zeros,
+};
 use crate::sam::{WIDTH, cut, joined};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
@@ -31,18 +34,28 @@ impl Hiera {
             pos_embed: zeros([1, c, s, s], device),
             pos_embed_window: zeros([1, c, window, window], device),
             patch_embed: conv([3, c], 7, PATCH, true, device),
-            blocks: config.blocks().into_iter().map(|b| Block::new(b, device)).collect(),
+            blocks: config
+                .blocks()
+                .into_iter()
+                .map(|b| Block::new(b, device))
+                .collect(),
         }
     }
 
-    /// Positions of a map of `h` rows and `w` columns, multiples of the window: `[1, h, w, c]`, in 32 bits. Empty if the parameters cannot
-    /// be read.
+    /// Positions of a map of `h` rows and `w` columns, multiples of the window: `[1, h, w, c]`, in
+    /// 32 bits. Empty if the parameters cannot be read.
     pub fn positions(&self, [h, w]: [usize; 2]) -> Tensor<4> {
         let learned = self.pos_embed.val().cast(DType::F32);
         let device = learned.device();
         let [_, c, rows, columns] = learned.dims();
         let values: Vec<f32> = learned.try_into_vec_as().unwrap_or_default();
-        let stretched = resampled(&values, columns, rows, &Kernels::cubic(columns, w), &Kernels::cubic(rows, h));
+        let stretched = resampled(
+            &values,
+            columns,
+            rows,
+            &Kernels::cubic(columns, w),
+            &Kernels::cubic(rows, h),
+        );
         let window = self.pos_embed_window.val().cast(DType::F32);
         let [_, _, side, _] = window.dims();
         let repeated = window.repeat(&[1, 1, h.div_ceil(side), w.div_ceil(side)]);
@@ -50,8 +63,8 @@ impl Hiera {
         (tensor(stretched, [1, c, h, w], &device) + repeated).permute([0, 2, 3, 1])
     }
 
-    /// Of an image `[1, 3, 4 h, 4 w]` and its `positions` `[1, h, w, c]`: what each stage ends with, `[1, h, w, c]`, then half the rows and
-    /// columns and twice the channels per stage.
+    /// Of an image `[1, 3, 4 h, 4 w]` and its `positions` `[1, h, w, c]`: what each stage ends
+    /// with, `[1, h, w, c]`, then half the rows and columns and twice the channels per stage.
     pub fn forward(&self, image: Tensor<4>, positions: Tensor<4>) -> Vec<Tensor<4>> {
         let mut x = self.patch_embed.forward(image).permute([0, 2, 3, 1]) + positions;
         let mut stages = Vec::new();
@@ -95,7 +108,8 @@ impl Attention {
         let [_, rows, columns, _] = q.dims();
         let split = |x: Tensor<4>, l: usize| x.reshape([n, l, heads, c / heads]).swap_dims(1, 2);
         let found = attend_heads(split(q, rows * columns), split(k, h * w), split(v, h * w));
-        self.proj.forward(found.swap_dims(1, 2).reshape([n, rows, columns, c]))
+        self.proj
+            .forward(found.swap_dims(1, 2).reshape([n, rows, columns, c]))
     }
 }
 
@@ -112,7 +126,10 @@ impl Mlp {
         let [n, h, w, c] = x.dims();
         let [wide, narrow] = &self.layers;
         let pixels = x.reshape([n * h * w, c]);
-        in_parts(pixels, 0, MLP_PIXELS, |x| narrow.forward(gelu(wide.forward(x)))).reshape([n, h, w, c])
+        in_parts(pixels, 0, MLP_PIXELS, |x| {
+            narrow.forward(gelu(wide.forward(x)))
+        })
+        .reshape([n, h, w, c])
     }
 }
 
@@ -138,7 +155,12 @@ impl Block {
             norm1: fine_norm(from, device),
             attn: Attention::new(config, device),
             norm2: fine_norm(to, device),
-            mlp: Mlp { layers: [linear(to, 4 * to, true, device), linear(4 * to, to, true, device)] },
+            mlp: Mlp {
+                layers: [
+                    linear(to, 4 * to, true, device),
+                    linear(4 * to, to, true, device),
+                ],
+            },
             proj: (from != to).then(|| linear(from, to, true, device)),
             window: config.window.unwrap_or(0),
             halves: config.halves,
@@ -168,11 +190,15 @@ impl Block {
     }
 }
 
-/// The largest of each 2 by 2 pixels of `x` `[n, h, w, c]`: `[n, h / 2, w / 2, c]`; a last odd row or column is left out.
+/// The largest of each 2 by 2 pixels of `x` `[n, h, w, c]`: `[n, h / 2, w / 2, c]`; a last odd row
+/// or column is left out.
 pub fn halved(x: Tensor<4>) -> Tensor<4> {
     let [n, h, w, c] = x.dims();
     let [rows, columns] = [h / 2, w / 2];
-    let x = x.narrow(1, 0, 2 * rows).narrow(2, 0, 2 * columns).reshape([n * rows, 2, columns, 2 * c]);
+    let x =
+        x.narrow(1, 0, 2 * rows)
+            .narrow(2, 0, 2 * columns)
+            .reshape([n * rows, 2, columns, 2 * c]);
     let x = x.clone().narrow(1, 0, 1).max_pair(x.narrow(1, 1, 1));
     let x = x.reshape([n, rows, columns, 2 * c]);
     x.clone().narrow(3, 0, c).max_pair(x.narrow(3, c, c))
@@ -206,7 +232,10 @@ impl Pointwise {
             Some(bias) => bias.val(),
             None => Tensor::zeros([to], (&weight.device(), weight.dtype())),
         };
-        Self { weight: weight.reshape([to, from]).transpose(), bias: bias.unsqueeze() }
+        Self {
+            weight: weight.reshape([to, from]).transpose(),
+            bias: bias.unsqueeze(),
+        }
     }
 
     /// This one, and `next` after it.
@@ -219,7 +248,10 @@ impl Pointwise {
 
     /// In another precision.
     pub fn cast(self, dtype: DType) -> Self {
-        Self { weight: self.weight.cast(dtype), bias: self.bias.cast(dtype) }
+        Self {
+            weight: self.weight.cast(dtype),
+            bias: self.bias.cast(dtype),
+        }
     }
 
     /// Of `[n, h, w, from]`: `[n, h, w, to]`.
@@ -233,7 +265,11 @@ impl Pointwise {
 
 impl Neck {
     pub fn new(config: &Config, device: &Device) -> Self {
-        Self { convs: std::array::from_fn(|i| conv([config.width_of(3 - i), WIDTH], 1, 1, true, device)) }
+        Self {
+            convs: std::array::from_fn(|i| {
+                conv([config.width_of(3 - i), WIDTH], 1, 1, true, device)
+            }),
+        }
     }
 
     /// The layer of a stage, 0 for the finest.
@@ -245,5 +281,7 @@ impl Neck {
 /// `x` `[n, h, w, c]` with each pixel four times: `[n, 2 h, 2 w, c]`.
 pub fn repeated(x: Tensor<4>) -> Tensor<4> {
     let [n, h, w, c] = x.dims();
-    x.reshape([n, h, 1, w, 1, c]).expand([n, h, 2, w, 2, c]).reshape([n, 2 * h, 2 * w, c])
+    x.reshape([n, h, 1, w, 1, c])
+        .expand([n, h, 2, w, 2, c])
+        .reshape([n, 2 * h, 2 * w, c])
 }

@@ -1,8 +1,9 @@
-//! A frame's features in the light of what is remembered: four layers of attention among the pixels, attention to memories, and a
-//! feed-forward layer.
+//! A frame's features in the light of what is remembered: four layers of attention among the
+//! pixels, attention to memories, and a feed-forward layer.
 //!
-//! Attention to memories weighs the memories as they are, in 64 channels, and projects to 256 what comes out, where upstream
-//! projects each memory before: the same but for rounding, as weights sum to one, for a quarter of the operations.
+//! Attention to memories weighs the memories as they are, in 64 channels, and projects to 256 what
+//! comes out, where upstream projects each memory before: the same but for rounding, as weights sum
+//! to one, for a quarter of the operations.
 
 use super::hiera::Pointwise;
 use crate::ops::{ConvNext, attend_heads, conv, fine_norm, gelu, in_parts, linear, norm, tensor};
@@ -36,7 +37,11 @@ pub struct Memories {
 impl Attention {
     /// As [`Rotations`] takes queries and keys.
     fn arranged(self) -> Self {
-        Self { q_proj: halves_apart(self.q_proj), k_proj: halves_apart(self.k_proj), ..self }
+        Self {
+            q_proj: halves_apart(self.q_proj),
+            k_proj: halves_apart(self.k_proj),
+            ..self
+        }
     }
 
     /// Of the pixels `x` `[b, n, 256]` among themselves.
@@ -101,12 +106,17 @@ impl Layer {
     }
 
     fn to(&self, x: Tensor<3>, memories: &Memories, rotations: &Rotations) -> Tensor<3> {
-        x.clone() + self.cross_attn_image.to(self.norm2.forward(x), memories, rotations)
+        x.clone()
+            + self
+                .cross_attn_image
+                .to(self.norm2.forward(x), memories, rotations)
     }
 
     fn feed(&self, x: Tensor<3>) -> Tensor<3> {
         let normal = self.norm3.forward(x.clone());
-        x + in_parts(normal, 1, MLP_PIXELS, |x| self.linear2.forward(relu(self.linear1.forward(x))))
+        x + in_parts(normal, 1, MLP_PIXELS, |x| {
+            self.linear2.forward(relu(self.linear1.forward(x)))
+        })
     }
 }
 
@@ -118,7 +128,10 @@ pub struct MemoryAttention {
 
 impl MemoryAttention {
     pub fn new(device: &Device) -> Self {
-        Self { layers: std::array::from_fn(|_| Layer::new(device)), norm: norm(WIDTH, device) }
+        Self {
+            layers: std::array::from_fn(|_| Layer::new(device)),
+            norm: norm(WIDTH, device),
+        }
     }
 
     /// As [`Rotations`] takes queries and keys: once, after loading.
@@ -133,15 +146,21 @@ impl MemoryAttention {
         }
     }
 
-    /// What depends on the frame alone: its features `map` `[1, n, 256]`, whose places are `places`, after the first layer's attention among
-    /// themselves.
+    /// What depends on the frame alone: its features `map` `[1, n, 256]`, whose places are
+    /// `places`, after the first layer's attention among themselves.
     pub fn begun(&self, map: Tensor<3>, places: &Tensor<3>, rotations: &Rotations) -> Tensor<3> {
         let [first, ..] = &self.layers;
         first.among(map + places.clone().mul_scalar(0.1), rotations)
     }
 
-    /// What is [`begun`](Self::begun), `[1, n, 256]`, in the light of `b` sets of memories: `[b, n, 256]`.
-    pub fn forward(&self, begun: Tensor<3>, memories: &Memories, rotations: &Rotations) -> Tensor<3> {
+    /// What is [`begun`](Self::begun), `[1, n, 256]`, in the light of `b` sets of memories:
+    /// `[b, n, 256]`.
+    pub fn forward(
+        &self,
+        begun: Tensor<3>,
+        memories: &Memories,
+        rotations: &Rotations,
+    ) -> Tensor<3> {
         let mut x = begun;
         for (i, layer) in self.layers.iter().enumerate() {
             if i > 0 {
@@ -158,10 +177,12 @@ const PAIRS: usize = WIDTH / 2;
 /// The wavelengths' ratio, all together.
 const THETA: f32 = 10_000.0;
 
-/// Positions as rotations: channels in pairs, each rotated by its own angle per column or row (Su et al., "RoFormer", 2021; in two
-/// directions as Heo et al., "Rotary Position Embedding for Vision Transformer", ECCV 2024). Upstream rotates neighbouring channels
-/// as one complex number. Here the first channels of all pairs come before the second ones: scores do not depend on the order of
-/// channels, so the layers that make queries and keys are [reordered](halves_apart) once, and a rotation reads whole rows.
+/// Positions as rotations: channels in pairs, each rotated by its own angle per column or row (Su
+/// et al., "RoFormer", 2021; in two directions as Heo et al., "Rotary Position Embedding for Vision
+/// Transformer", ECCV 2024). Upstream rotates neighbouring channels as one complex number. Here the
+/// first channels of all pairs come before the second ones: scores do not depend on the order of
+/// channels, so the layers that make queries and keys are [reordered](halves_apart) once, and a
+/// rotation reads whole rows.
 ///
 /// Cosines and sines of a square map, `[1, 1, n, 128]` each.
 #[derive(Debug, Clone)]
@@ -185,7 +206,10 @@ impl Rotations {
             let values = angles.iter().map(|&a| f(a)).collect();
             tensor(values, [1, 1, side * side, PAIRS], device).cast(dtype)
         };
-        Self { cos: table(f32::cos), sin: table(f32::sin) }
+        Self {
+            cos: table(f32::cos),
+            sin: table(f32::sin),
+        }
     }
 
     /// Places of a map.
@@ -207,18 +231,26 @@ impl Rotations {
 
 /// `layer`, whose outputs are pairs of channels, with all first ones before all second ones.
 pub fn halves_apart(layer: Linear) -> Linear {
-    let order: Vec<i32> = (0..2).flat_map(|k| (0..PAIRS as i32).map(move |i| 2 * i + k)).collect();
-    let order = Tensor::<1, Int>::from_data(TensorData::new(order, [WIDTH]), &layer.weight.val().device());
+    let order: Vec<i32> = (0..2)
+        .flat_map(|k| (0..PAIRS as i32).map(move |i| 2 * i + k))
+        .collect();
+    let order = Tensor::<1, Int>::from_data(
+        TensorData::new(order, [WIDTH]),
+        &layer.weight.val().device(),
+    );
     Linear {
         weight: Param::from_tensor(layer.weight.val().select(1, order.clone())),
-        bias: layer.bias.map(|bias| Param::from_tensor(bias.val().select(0, order))),
+        bias: layer
+            .bias
+            .map(|bias| Param::from_tensor(bias.val().select(0, order))),
     }
 }
 
 /// Channels of the mask, from its own size to a sixteenth.
 const MASK_WIDTHS: [usize; 5] = [1, 4, 16, 64, WIDTH];
 
-/// A mask as features. Named `encoder.0`, `3`, `6`, `9` and `1`, `4`, `7`, `10`, and `12` in the checkpoint.
+/// A mask as features. Named `encoder.0`, `3`, `6`, `9` and `1`, `4`, `7`, `10`, and `12` in the
+/// checkpoint.
 #[derive(Module, Debug)]
 pub struct MaskEncoder {
     convs: [Conv2d; 4],
@@ -229,7 +261,9 @@ pub struct MaskEncoder {
 impl MaskEncoder {
     fn new(device: &Device) -> Self {
         Self {
-            convs: std::array::from_fn(|i| conv([MASK_WIDTHS[i], MASK_WIDTHS[i + 1]], 3, 2, true, device)),
+            convs: std::array::from_fn(|i| {
+                conv([MASK_WIDTHS[i], MASK_WIDTHS[i + 1]], 3, 2, true, device)
+            }),
             norms: std::array::from_fn(|i| fine_norm(MASK_WIDTHS[i + 1], device)),
             out: conv([WIDTH, WIDTH], 1, 1, true, device),
         }
@@ -264,9 +298,12 @@ impl MemoryEncoder {
         }
     }
 
-    /// Of a frame's features `[1, h, w, 256]` and `b` masks `[b, 1, 16 h, 16 w]`, from -10 to 10: `[b, h, w, 64]`.
+    /// Of a frame's features `[1, h, w, 256]` and `b` masks `[b, 1, 16 h, 16 w]`, from -10 to 10:
+    /// `[b, h, w, 64]`.
     pub fn forward(&self, map: Tensor<4>, masks: Tensor<4>) -> Tensor<4> {
-        let x = Pointwise::of(&self.pix_feat_proj).forward(map) + self.mask_downsampler.forward(masks);
-        Pointwise::of(&self.out_proj).forward(self.fuser.iter().fold(x, |x, block| block.forward(x)))
+        let x =
+            Pointwise::of(&self.pix_feat_proj).forward(map) + self.mask_downsampler.forward(masks);
+        Pointwise::of(&self.out_proj)
+            .forward(self.fuser.iter().fold(x, |x, block| block.forward(x)))
     }
 }

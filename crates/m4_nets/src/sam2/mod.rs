@@ -1,8 +1,10 @@
-//! SAM 2.1: masks of what a prompt shows in an image, and of the same object in every other frame of a clip.
+//! SAM 2.1: masks of what a prompt shows in an image, and of the same object in every other frame
+//! of a clip.
 //!
 //! - Paper: Ravi et al., "SAM 2: Segment Anything in Images and Videos", 2024.
-//! - Upstream: facebookresearch/sam2, Apache-2.0. Weights (Apache-2.0): the sizes `tiny`, `small`, `base_plus` and `large` of version
-//!   2.1, whose tensors lie under `model` in the published files.
+//! - Upstream: facebookresearch/sam2, Apache-2.0. Weights (Apache-2.0): the sizes `tiny`, `small`,
+//!   `base_plus` and `large` of version 2.1, whose tensors lie under `model` in the published
+//!   files.
 //!
 //! ```text
 //! image --squeeze--> 1024 x 1024 --Hiera, neck--> features at 1/16, finer ones at 1/8 and 1/4
@@ -11,7 +13,8 @@
 //! features, mask --MemoryEncoder--> a memory [64 * 64, 64];  the mask's token --> a pointer [256]
 //! ```
 //!
-//! [`Sam2`] is the network, [`VideoPredictor`] follows objects. Places are in pixels of the image as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
+//! [`Sam2`] is the network, [`VideoPredictor`] follows objects. Places are in pixels of the image
+//! as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
 //!
 //! Inside, maps have their channels last, so that normalisations and linear layers read rows.
 
@@ -67,8 +70,14 @@ const RENAMES: [(&str, &str); 18] = [
     (r"\.neck\.convs\.(\d)\.conv\.", ".neck.convs.$1."),
     (r"\.mask_downsampler\.encoder\.", ".mask_downsampler."),
     (r"\.fuser\.layers\.", ".fuser."),
-    (r"\.transformer\.layers\.(\d)\.mlp\.layers\.0\.", ".transformer.layers.$1.mlp.lin1."),
-    (r"\.transformer\.layers\.(\d)\.mlp\.layers\.1\.", ".transformer.layers.$1.mlp.lin2."),
+    (
+        r"\.transformer\.layers\.(\d)\.mlp\.layers\.0\.",
+        ".transformer.layers.$1.mlp.lin1.",
+    ),
+    (
+        r"\.transformer\.layers\.(\d)\.mlp\.layers\.1\.",
+        ".transformer.layers.$1.mlp.lin2.",
+    ),
     (r"\.mask_downsampler\.0\.", ".mask_downsampler.convs.0."),
     (r"\.mask_downsampler\.3\.", ".mask_downsampler.convs.1."),
     (r"\.mask_downsampler\.6\.", ".mask_downsampler.convs.2."),
@@ -86,8 +95,8 @@ fn renames() -> Vec<(&'static str, &'static str)> {
     [&RENAMES[..], &sam::RENAMES].concat()
 }
 
-/// Whether a tensor of the checkpoint is of no use here: the position of no memory, which is for a way of starting that no published
-/// size takes.
+/// Whether a tensor of the checkpoint is of no use here: the position of no memory, which is for a
+/// way of starting that no published size takes.
 fn unneeded(name: &str) -> bool {
     name == "no_mem_pos_enc"
 }
@@ -117,7 +126,10 @@ struct Net {
 impl Net {
     fn new(config: &Config, device: &Device) -> Self {
         Self {
-            image_encoder: ImageEncoder { trunk: Hiera::new(config, device), neck: Neck::new(config, device) },
+            image_encoder: ImageEncoder {
+                trunk: Hiera::new(config, device),
+                neck: Neck::new(config, device),
+            },
             prompt_encoder: PromptEncoder::new(device),
             mask_decoder: MaskDecoder::new(device),
             memory_attention: MemoryAttention::new(device),
@@ -155,7 +167,8 @@ struct Tables {
 #[derive(Debug)]
 pub struct Sam2 {
     net: Net,
-    /// The neck's layers: of the two finest stages, together with the decoder's, and of the two coarsest.
+    /// The neck's layers: of the two finest stages, together with the decoder's, and of the two
+    /// coarsest.
     laterals: [Pointwise; 4],
     tables: Tables,
     size: Sam2Size,
@@ -174,7 +187,8 @@ struct Features {
 }
 
 impl Sam2 {
-    /// The network with the weights of the checkpoint at `path`, whose size is seen from its tensors.
+    /// The network with the weights of the checkpoint at `path`, whose size is seen from its
+    /// tensors.
     ///
     /// # Errors
     ///
@@ -193,14 +207,24 @@ impl Sam2 {
     fn of(net: Net, size: Sam2Size, side: usize, on: &Compute) -> Self {
         let neck = &net.image_encoder.neck;
         let [finest, fine] = net.mask_decoder.fine();
-        let laterals =
-            [neck.of_stage(0).then(&finest), neck.of_stage(1).then(&fine), neck.of_stage(2), neck.of_stage(3)];
+        let laterals = [
+            neck.of_stage(0).then(&finest),
+            neck.of_stage(1).then(&fine),
+            neck.of_stage(2),
+            neck.of_stage(3),
+        ];
         let dtype = if on.is_half() { DType::F16 } else { DType::F32 };
         let tables = Tables::new(&net, side, &on.device, dtype);
-        let net = Net { memory_attention: net.memory_attention.arranged(), ..net };
+        let net = Net {
+            memory_attention: net.memory_attention.arranged(),
+            ..net
+        };
         // waves of places are too many for 16 bits
         let prompt_encoder = net.prompt_encoder.clone();
-        let net = Net { prompt_encoder, ..on.fit(net) };
+        let net = Net {
+            prompt_encoder,
+            ..on.fit(net)
+        };
         Self {
             net,
             laterals: laterals.map(|layer| layer.cast(dtype)),
@@ -212,8 +236,8 @@ impl Sam2 {
         }
     }
 
-    /// The same network for images that are squeezed to `side` by `side` pixels instead of 1024, as it was trained: faster and coarser
-    /// where less. All masks and features shrink with it.
+    /// The same network for images that are squeezed to `side` by `side` pixels instead of 1024, as
+    /// it was trained: faster and coarser where less. All masks and features shrink with it.
     ///
     /// # Errors
     ///
@@ -225,7 +249,11 @@ impl Sam2 {
             ));
         }
         let tables = Tables::new(&self.net, side, &self.device, self.dtype);
-        Ok(Self { tables, side, ..self })
+        Ok(Self {
+            tables,
+            side,
+            ..self
+        })
     }
 
     /// The size that the checkpoint holds.
@@ -246,18 +274,35 @@ impl Sam2 {
         let stages = trunk.forward(input, self.tables.trunk.clone());
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
-        Ok(Features { map: (map + repeated(coarse)).reshape([1, n, WIDTH]), fine: [s1, s0] })
+        Ok(Features {
+            map: (map + repeated(coarse)).reshape([1, n, WIDTH]),
+            fine: [s1, s0],
+        })
     }
 
     /// Each stage after its layer.
     fn level(&self, stages: Vec<Tensor<4>>) -> [Tensor<4>; 4] {
-        let mut stages = stages.into_iter().zip(&self.laterals).map(|(x, layer)| layer.forward(x));
+        let mut stages = stages
+            .into_iter()
+            .zip(&self.laterals)
+            .map(|(x, layer)| layer.forward(x));
         // a trunk has four stages
-        std::array::from_fn(|_| stages.next().unwrap_or_else(|| Tensor::zeros([1, 0, 0, WIDTH], &self.device)))
+        std::array::from_fn(|_| {
+            stages
+                .next()
+                .unwrap_or_else(|| Tensor::zeros([1, 0, 0, WIDTH], &self.device))
+        })
     }
 
-    /// What the decoder says of features `[b, n, 256]` and prompts: tokens `[b, k, 256]`, and masks `[b, 1, 4 h, 4 w]` if any.
-    fn decoded(&self, map: Tensor<3>, features: &Features, tokens: Tensor<3>, masks: Option<Tensor<4>>) -> Decoded {
+    /// What the decoder says of features `[b, n, 256]` and prompts: tokens `[b, k, 256]`, and masks
+    /// `[b, 1, 4 h, 4 w]` if any.
+    fn decoded(
+        &self,
+        map: Tensor<3>,
+        features: &Features,
+        tokens: Tensor<3>,
+        masks: Option<Tensor<4>>,
+    ) -> Decoded {
         let known = self.net.prompt_encoder.mask(masks).cast(self.dtype);
         let [b, c, h, w] = known.dims();
         let known = known.reshape([b, c, h * w]).swap_dims(1, 2);
@@ -271,7 +316,8 @@ impl Sam2 {
         )
     }
 
-    /// The one mask that is found without prompts in features `[b, n, 256]` that know of `b` objects.
+    /// The one mask that is found without prompts in features `[b, n, 256]` that know of `b`
+    /// objects.
     fn followed(&self, map: Tensor<3>, features: &Features) -> Result<Vec<Answer>, NetError> {
         let [b, _, _] = map.dims();
         let nowhere = self.net.prompt_encoder.nowhere();
@@ -287,7 +333,8 @@ impl Sam2 {
         rows.matmul(logits).matmul(columns).unsqueeze_dim(1)
     }
 
-    /// What is remembered of `b` objects of a frame, `[b, n, 64]`: of masks `[b, 1, 16 h, 16 w]` from 0 to 1, and whether they are there.
+    /// What is remembered of `b` objects of a frame, `[b, n, 64]`: of masks `[b, 1, 16 h, 16 w]`
+    /// from 0 to 1, and whether they are there.
     fn remembered(&self, features: &Features, masks: Tensor<4>, there: &[bool]) -> Tensor<3> {
         let masks = masks.mul_scalar(20.0).sub_scalar(10.0).cast(self.dtype);
         let grid = self.tables.grid;
@@ -295,7 +342,10 @@ impl Sam2 {
         let b = there.len();
         let memory = self.net.memory_encoder.forward(map, masks);
         let memory = memory.reshape([b, grid * grid, MEMORY_WIDTH]);
-        let absent = there.iter().map(|&there| f32::from(u8::from(!there))).collect();
+        let absent = there
+            .iter()
+            .map(|&there| f32::from(u8::from(!there)))
+            .collect();
         let absent: Tensor<3> = tensor(absent, [b, 1, 1], &self.device).cast(self.dtype);
         memory + absent * self.net.no_obj_embed_spatial.val().unsqueeze_dim(0)
     }
@@ -312,11 +362,19 @@ impl Tables {
         let enlarge = Kernels::linear(mask, side).matrix(mask);
         Self {
             grid,
-            trunk: net.image_encoder.trunk.positions([side / PATCH; 2]).cast(dtype),
+            trunk: net
+                .image_encoder
+                .trunk
+                .positions([side / PATCH; 2])
+                .cast(dtype),
             sine: sine(WIDTH),
             memory_sine: sine(MEMORY_WIDTH),
             rotations: Rotations::new(grid, device, dtype),
-            places: net.prompt_encoder.grid([grid, grid], device).unsqueeze_dim(0).cast(dtype),
+            places: net
+                .prompt_encoder
+                .grid([grid, grid], device)
+                .unsqueeze_dim(0)
+                .cast(dtype),
             enlarge: tensor(enlarge, [1, side, mask], device),
         }
     }

@@ -7,19 +7,33 @@ use crate::sam::{Prompt, PromptEncoder};
 use burn_core::tensor::{Device, Tensor};
 use m4_core::{Plane, ResizeFilter, RgbImage, resize_rgb};
 
-/// Tokens `[n, 256]` of `prompt`, checked, in an image of the size `frame`: the box's corners, the points, and one that is no place;
-/// two of those where there are neither.
-pub fn tokens(encoder: &PromptEncoder, prompt: &Prompt, frame: (usize, usize), side: usize) -> Tensor<2> {
-    // as parts of the square's sides; pixels have their centres at halves in both, SAM scales their numbers
+/// Tokens `[n, 256]` of `prompt`, checked, in an image of the size `frame`: the box's corners, the
+/// points, and one that is no place; two of those where there are neither.
+pub fn tokens(
+    encoder: &PromptEncoder,
+    prompt: &Prompt,
+    frame: (usize, usize),
+    side: usize,
+) -> Tensor<2> {
+    // as parts of the square's sides; pixels have their centres at halves in both, SAM scales their
+    // numbers
     let place = |[x, y]: [f32; 2]| {
         let part = |x: f32, n: usize| ((x - 0.5) / n as f32 * side as f32 + 0.5) / side as f32;
         [part(x, frame.0), part(y, frame.1)]
     };
     let mut tokens = Vec::new();
     if let Some([x0, y0, x1, y1]) = prompt.box_px {
-        tokens.extend([encoder.place(place([x0, y0]), 2), encoder.place(place([x1, y1]), 3)]);
+        tokens.extend([
+            encoder.place(place([x0, y0]), 2),
+            encoder.place(place([x1, y1]), 3),
+        ]);
     }
-    tokens.extend(prompt.points.iter().map(|point| encoder.place(place(point.at_px), usize::from(point.on_object))));
+    tokens.extend(
+        prompt
+            .points
+            .iter()
+            .map(|point| encoder.place(place(point.at_px), usize::from(point.on_object))),
+    );
     if tokens.is_empty() {
         tokens.push(encoder.nowhere());
     }
@@ -29,7 +43,11 @@ pub fn tokens(encoder: &PromptEncoder, prompt: &Prompt, frame: (usize, usize), s
 
 /// The logits of a mask, `[1, 1, 4 h, 4 w]`.
 pub fn mask(mask: &Plane<f32>, device: &Device) -> Tensor<4> {
-    tensor(mask.data().to_vec(), [1, 1, mask.height(), mask.width()], device)
+    tensor(
+        mask.data().to_vec(),
+        [1, 1, mask.height(), mask.width()],
+        device,
+    )
 }
 
 /// `size`, columns and rows, of `what`, which needs pixels.
@@ -45,18 +63,31 @@ pub fn with_pixels(what: &str, size: (usize, usize)) -> Result<(usize, usize), N
 pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<4>, NetError> {
     with_pixels("an image", image.size())?;
     let square = resize_rgb(image, side, side, ResizeFilter::Cubic);
-    let values = square.map(|square| planes(&square, IMAGENET_MEAN, IMAGENET_STD)).unwrap_or_default();
+    let values = square
+        .map(|square| planes(&square, IMAGENET_MEAN, IMAGENET_STD))
+        .unwrap_or_default();
     Ok(tensor(values, [1, 3, side, side], device))
 }
 
-/// A mask of an image as one of the square, `[side][side]`, 1 where the object is: where at least half of a pixel is it.
+/// A mask of an image as one of the square, `[side][side]`, 1 where the object is: where at least
+/// half of a pixel is it.
 pub fn squared_mask(mask: &Plane<bool>, side: usize) -> Vec<f32> {
     let (w, h) = mask.size();
-    let values: Vec<f32> = mask.data().iter().map(|&on| f32::from(u8::from(on))).collect();
+    let values: Vec<f32> = mask
+        .data()
+        .iter()
+        .map(|&on| f32::from(u8::from(on)))
+        .collect();
     if (w, h) == (side, side) {
         return values;
     }
-    let mut out = resampled(&values, w, h, &Kernels::triangle(w, side), &Kernels::triangle(h, side));
+    let mut out = resampled(
+        &values,
+        w,
+        h,
+        &Kernels::triangle(w, side),
+        &Kernels::triangle(h, side),
+    );
     for x in &mut out {
         *x = f32::from(u8::from(*x >= 0.5));
     }
@@ -66,8 +97,8 @@ pub fn squared_mask(mask: &Plane<bool>, side: usize) -> Vec<f32> {
 /// What fills a hole: just above the border.
 const FILLED: f32 = 0.1;
 
-/// Fills the holes of a mask, above 0 where the object is, that have at most `most` pixels: what is not the object and hangs together, over
-/// corners too.
+/// Fills the holes of a mask, above 0 where the object is, that have at most `most` pixels: what is
+/// not the object and hangs together, over corners too.
 pub fn fill(logits: &mut Plane<f32>, most: usize) {
     if most == 0 {
         return;
@@ -109,20 +140,30 @@ mod tests {
     use m4_core::Plane;
 
     fn mask(rows: &[&str]) -> Plane<f32> {
-        Plane::from_fn(rows[0].len(), rows.len(), |x, y| match rows[y].as_bytes()[x] {
-            b'#' => 3.0,
-            _ => -2.0,
+        Plane::from_fn(rows[0].len(), rows.len(), |x, y| {
+            match rows[y].as_bytes()[x] {
+                b'#' => 3.0,
+                _ => -2.0,
+            }
         })
     }
 
     #[test]
     fn small_holes_are_filled_and_large_ones_stay() {
         let before = mask(&["#####.", "#.##..", "##.#..", "#####.", "#.#.#.", "###.#."]);
-        for (most, filled) in [(0, vec![]), (1, vec![(1, 4)]), (2, vec![(1, 1), (2, 2), (1, 4), (3, 4), (3, 5)])] {
+        for (most, filled) in [
+            (0, vec![]),
+            (1, vec![(1, 4)]),
+            (2, vec![(1, 1), (2, 2), (1, 4), (3, 4), (3, 5)]),
+        ] {
             let mut after = before.clone();
             fill(&mut after, most);
             for (y, x) in (0..6).flat_map(|y| (0..6).map(move |x| (y, x))) {
-                let want = if filled.contains(&(x, y)) { 0.1 } else { before[(x, y)] };
+                let want = if filled.contains(&(x, y)) {
+                    0.1
+                } else {
+                    before[(x, y)]
+                };
                 assert_eq!(after[(x, y)], want, "{most}: column {x}, row {y}");
             }
         }

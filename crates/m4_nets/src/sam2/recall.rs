@@ -23,8 +23,14 @@ impl Sam2 {
         attention.begun(features.map.clone(), &tables.sine, &tables.rotations)
     }
 
-    /// The same in the light of memories, of which all `recalls` have equally many, at least one: `[b, n, 256]`.
-    pub(super) fn recalled(&self, begun: Tensor<3>, recalls: &[Recall], frames: usize) -> Tensor<3> {
+    /// The same in the light of memories, of which all `recalls` have equally many, at least one:
+    /// `[b, n, 256]`.
+    pub(super) fn recalled(
+        &self,
+        begun: Tensor<3>,
+        recalls: &[Recall],
+        frames: usize,
+    ) -> Tensor<3> {
         let (mut values, mut keys) = (Vec::new(), Vec::new());
         for recall in recalls {
             let [value, key] = self.memories(recall, frames);
@@ -52,14 +58,24 @@ impl Sam2 {
         if !recall.pointers.is_empty() {
             let count = recall.pointers.len();
             let parts = WIDTH / MEMORY_WIDTH;
-            let pointers = recall.pointers.iter().map(|(_, pointer)| pointer.clone()).collect();
+            let pointers = recall
+                .pointers
+                .iter()
+                .map(|(_, pointer)| pointer.clone())
+                .collect();
             let pointers: Tensor<2> = Tensor::cat(pointers, 0);
             values.push(pointers.reshape([1, count * parts, MEMORY_WIDTH]));
             let most = (pointer_frames(frames) - 1).max(1) as f32;
-            let times = recall.pointers.iter().flat_map(|(steps, _)| waves(*steps as f32 / most));
+            let times = recall
+                .pointers
+                .iter()
+                .flat_map(|(steps, _)| waves(*steps as f32 / most));
             let times = tensor(times.collect(), [count, WIDTH], &self.device).cast(self.dtype);
             let times = self.net.obj_ptr_tpos_proj.forward(times);
-            let times = times.reshape([count, 1, MEMORY_WIDTH]).expand([count, parts, MEMORY_WIDTH]);
+            let times =
+                times
+                    .reshape([count, 1, MEMORY_WIDTH])
+                    .expand([count, parts, MEMORY_WIDTH]);
             places.push(times.reshape([1, count * parts, MEMORY_WIDTH]));
         }
         let values = Tensor::cat(values, 1);
@@ -104,7 +120,9 @@ impl Sam2 {
 fn waves(time: f32) -> impl Iterator<Item = f32> {
     let half = WIDTH / 2;
     let angle = move |i: usize| time / 10_000f32.powf((i / 2 * 2) as f32 / half as f32);
-    (0..half).map(move |i| angle(i).sin()).chain((0..half).map(move |i| angle(i).cos()))
+    (0..half)
+        .map(move |i| angle(i).sin())
+        .chain((0..half).map(move |i| angle(i).cos()))
 }
 
 /// How far logits move where a mask is asked for its stability.
@@ -129,12 +147,20 @@ pub struct Answer {
 
 impl Sam2 {
     /// One mask of each of `b` prompts; `ambiguous` if the best of three readings is to be taken.
-    pub(super) fn answers(&self, decoded: Decoded, ambiguous: bool) -> Result<Vec<Answer>, NetError> {
+    pub(super) fn answers(
+        &self,
+        decoded: Decoded,
+        ambiguous: bool,
+    ) -> Result<Vec<Answer>, NetError> {
         let [b, _, rows, columns] = decoded.masks.dims();
         let masks = decoded.masks.cast(DType::F32);
         let iou = numbers(decoded.iou)?;
         let scores = numbers(decoded.score)?;
-        let stability = if ambiguous { vec![1.0; b] } else { numbers(stability(&masks))? };
+        let stability = if ambiguous {
+            vec![1.0; b]
+        } else {
+            numbers(stability(&masks))?
+        };
         let mut answers = Vec::new();
         for (i, iou) in iou.chunks_exact(MASKS).enumerate() {
             let chosen = chosen(iou, ambiguous, stability[i]);
@@ -143,7 +169,11 @@ impl Sam2 {
             let there = scores[i] > 0.0;
             answers.push(Answer {
                 logits: if there {
-                    masks.clone().narrow(0, i, 1).narrow(1, chosen, 1).squeeze_dim(1)
+                    masks
+                        .clone()
+                        .narrow(0, i, 1)
+                        .narrow(1, chosen, 1)
+                        .squeeze_dim(1)
                 } else {
                     Tensor::full([1, rows, columns], ABSENT, (&masks.device(), DType::F32))
                 },
@@ -154,14 +184,19 @@ impl Sam2 {
                 },
                 score: scores[i],
                 iou: iou[chosen],
-                candidates: if ambiguous { iou[1..].to_vec() } else { vec![iou[chosen]] },
+                candidates: if ambiguous {
+                    iou[1..].to_vec()
+                } else {
+                    vec![iou[chosen]]
+                },
             });
         }
         Ok(answers)
     }
 }
 
-/// Which of four masks is taken: the best of the three readings where the prompt is ambiguous or the first mask is unstable.
+/// Which of four masks is taken: the best of the three readings where the prompt is ambiguous or
+/// the first mask is unstable.
 pub fn chosen(iou: &[f32], ambiguous: bool, stability: f32) -> usize {
     if !ambiguous && stability >= LEAST_STABLE {
         return 0;
@@ -170,7 +205,8 @@ pub fn chosen(iou: &[f32], ambiguous: bool, stability: f32) -> usize {
     (2..iou.len()).fold(1, better)
 }
 
-/// The share of the first mask's area that stays when logits are a little less, `[b]`; 1 where there is none.
+/// The share of the first mask's area that stays when logits are a little less, `[b]`; 1 where
+/// there is none.
 pub fn stability(masks: &Tensor<4>) -> Tensor<1> {
     let [b, _, h, w] = masks.dims();
     let first = masks.clone().narrow(1, 0, 1).reshape([b, h * w]);

@@ -6,8 +6,8 @@
 //!     memories and pointers of frames before and of those that were shown --> mask --> memory, pointer
 //! ```
 //!
-//! Objects do not know of each other; those that have equally many memories are computed together. A frame's features are computed once for
-//! all of them.
+//! Objects do not know of each other; those that have equally many memories are computed together.
+//! A frame's features are computed once for all of them.
 
 use super::bank::{Entry, Object, ObjectMask, Recall};
 use super::prompts::{squared_mask, with_pixels};
@@ -63,8 +63,9 @@ const EARLIER_LOGIT: f32 = 32.0;
 
 /// Follows objects through a clip.
 ///
-/// What is kept does not grow with the clip but for two numbers an object and frame: a megabyte for each of six frames before the last,
-/// a quarter of one for each of 15, and the same on both sides of each frame that an object was shown in.
+/// What is kept does not grow with the clip but for two numbers an object and frame: a megabyte for
+/// each of six frames before the last, a quarter of one for each of 15, and the same on both sides
+/// of each frame that an object was shown in.
 pub struct VideoPredictor<'a> {
     pub(super) net: Arc<Sam2>,
     clip: Clip,
@@ -85,18 +86,31 @@ impl fmt::Debug for VideoPredictor<'_> {
 }
 
 impl<'a> VideoPredictor<'a> {
-    /// For `clip`, whose images, of any size, are asked for where they are needed. Holes of masks of at most `fill_holes_px` pixels of
-    /// the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
+    /// For `clip`, whose images, of any size, are asked for where they are needed. Holes of masks
+    /// of at most `fill_holes_px` pixels of the logits are filled; 0 fills none. Upstream fills 8
+    /// where it runs on CUDA, and none elsewhere.
     ///
     /// # Errors
     ///
     /// [`NetError`] if the clip has no frames or no pixels.
-    pub fn new(net: Arc<Sam2>, clip: Clip, images: ImageReader<'a>, fill_holes_px: usize) -> Result<Self, NetError> {
+    pub fn new(
+        net: Arc<Sam2>,
+        clip: Clip,
+        images: ImageReader<'a>,
+        fill_holes_px: usize,
+    ) -> Result<Self, NetError> {
         if clip.frames == 0 {
             return refuse("a clip without frames has no masks");
         }
         with_pixels("a clip", (clip.width, clip.height))?;
-        Ok(Self { net, clip, images, fill_holes_px, objects: BTreeMap::new(), features: Vec::new() })
+        Ok(Self {
+            net,
+            clip,
+            images,
+            fill_holes_px,
+            objects: BTreeMap::new(),
+            features: Vec::new(),
+        })
     }
 
     /// Objects that were shown.
@@ -116,17 +130,29 @@ impl<'a> VideoPredictor<'a> {
 
     fn check(&self, frame: usize) -> Result<(), NetError> {
         let frames = self.clip.frames;
-        if frame < frames { Ok(()) } else { Err(NetError::NoSuchFrame { frame, frames }) }
+        if frame < frames {
+            Ok(())
+        } else {
+            Err(NetError::NoSuchFrame { frame, frames })
+        }
     }
 
-    /// Shows an object in a frame by places, with a name of the caller's choice, or corrects it there; its mask in that frame. All places
-    /// of the frame are given each time: they replace earlier ones. `mask_logits` of the prompt take the place of what was found in that
-    /// frame before, which else counts. Other frames learn of it when they are [followed to](Self::follow).
+    /// Shows an object in a frame by places, with a name of the caller's choice, or corrects it
+    /// there; its mask in that frame. All places of the frame are given each time: they replace
+    /// earlier ones. `mask_logits` of the prompt take the place of what was found in that frame
+    /// before, which else counts. Other frames learn of it when they are [followed
+    /// to](Self::follow).
     ///
     /// # Errors
     ///
-    /// [`NetError`] if the clip has no such frame, the prompt is empty or wrong, or the image or the device fails.
-    pub fn show(&mut self, frame: usize, object: u32, prompt: &Prompt) -> Result<ObjectMask, NetError> {
+    /// [`NetError`] if the clip has no such frame, the prompt is empty or wrong, or the image or
+    /// the device fails.
+    pub fn show(
+        &mut self,
+        frame: usize,
+        object: u32,
+        prompt: &Prompt,
+    ) -> Result<ObjectMask, NetError> {
         self.check(frame)?;
         let size = (self.clip.width, self.clip.height);
         let net = Arc::clone(&self.net);
@@ -135,7 +161,8 @@ impl<'a> VideoPredictor<'a> {
         let given = prompt.mask_logits.as_ref();
         let known = self.objects.get(&object);
         let mask = given.or_else(|| known?.at(frame).map(|entry| &entry.mask.logits));
-        let mask = mask.map(|mask| prompts::mask(mask, &net.device).clamp(-EARLIER_LOGIT, EARLIER_LOGIT));
+        let mask =
+            mask.map(|mask| prompts::mask(mask, &net.device).clamp(-EARLIER_LOGIT, EARLIER_LOGIT));
         let recall = known.and_then(|known| {
             let direction = *known.followed.get(&frame)?;
             let recall = known.recall(frame, direction, self.clip.frames);
@@ -157,7 +184,12 @@ impl<'a> VideoPredictor<'a> {
     /// # Errors
     ///
     /// As [`Self::show`].
-    pub fn show_mask(&mut self, frame: usize, object: u32, mask: &Plane<bool>) -> Result<ObjectMask, NetError> {
+    pub fn show_mask(
+        &mut self,
+        frame: usize,
+        object: u32,
+        mask: &Plane<bool>,
+    ) -> Result<ObjectMask, NetError> {
         self.check(frame)?;
         with_pixels("a mask", mask.size())?;
         let net = Arc::clone(&self.net);
@@ -169,7 +201,13 @@ impl<'a> VideoPredictor<'a> {
     }
 
     /// Keeps what was shown, the first of `answers`, until objects are followed.
-    fn pend(&mut self, frame: usize, object: u32, answers: Vec<Answer>, first: bool) -> Result<ObjectMask, NetError> {
+    fn pend(
+        &mut self,
+        frame: usize,
+        object: u32,
+        answers: Vec<Answer>,
+        first: bool,
+    ) -> Result<ObjectMask, NetError> {
         let nothing = || NetError::Device("no answer".to_owned());
         let answer = answers.into_iter().next().ok_or_else(nothing)?;
         let entry = Entry::of(answer, self.fill_holes_px, true)?;
@@ -181,13 +219,14 @@ impl<'a> VideoPredictor<'a> {
         Ok(mask)
     }
 
-    /// Follows all objects through `frames`, from the first to the last or from the last to the first; `each` gets the frame and the masks of
-    /// all objects in it. What was shown in a frame is given as it was found there.
+    /// Follows all objects through `frames`, from the first to the last or from the last to the
+    /// first; `each` gets the frame and the masks of all objects in it. What was shown in a frame
+    /// is given as it was found there.
     ///
     /// # Errors
     ///
-    /// [`NetError`] if there is no object, the clip has no such frames, `progress` says to stop, or an image or the device fails. Frames
-    /// that `each` got stay followed.
+    /// [`NetError`] if there is no object, the clip has no such frames, `progress` says to stop, or
+    /// an image or the device fails. Frames that `each` got stay followed.
     pub fn follow(
         &mut self,
         frames: RangeInclusive<usize>,
@@ -263,9 +302,17 @@ impl<'a> VideoPredictor<'a> {
                 continue;
             };
             let side = net.mask_side();
-            let logits = tensor(entry.mask.logits.data().to_vec(), [1, side, side], &net.device);
+            let logits = tensor(
+                entry.mask.logits.data().to_vec(),
+                [1, side, side],
+                &net.device,
+            );
             let enlarged = net.enlarged(logits);
-            let mask = enlarged.clone().greater_elem(0.0).float().cast(enlarged.dtype());
+            let mask = enlarged
+                .clone()
+                .greater_elem(0.0)
+                .float()
+                .cast(enlarged.dtype());
             entry.memory = Some(net.remembered(&features, mask, &[entry.mask.is_there()]));
             object.settle(frame, entry, conditions);
         }

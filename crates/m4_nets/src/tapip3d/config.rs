@@ -1,9 +1,10 @@
 //! What the tensors of a checkpoint cannot tell. It stands in the metadata of a converted one.
 //!
-//! The published file is a pickle of PyTorch with an OmegaConf object beside the weights, which only Python can read;
-//! `tools/models/convert_tapip3d.py` writes the weights as safetensors and the configuration as JSON into the metadata entry
-//! `config`: the `model` section as it is, and `image_size` (rows, columns) from the section `train_dataset`. What it leaves out
-//! has the default of upstream's constructors.
+//! The published file is a pickle of PyTorch with an OmegaConf object beside the weights, which
+//! only Python can read; `tools/models/convert_tapip3d.py` writes the weights as safetensors and
+//! the configuration as JSON into the metadata entry `config`: the `model` section as it is, and
+//! `image_size` (rows, columns) from the section `train_dataset`. What it leaves out has the
+//! default of upstream's constructors.
 
 use super::encoding::width;
 use crate::load::Shapes;
@@ -38,8 +39,8 @@ impl Config {
             "it has no configuration: the published file is to be converted once by `python3 tools/models/convert_tapip3d.py`, \
              which needs PyTorch, NumPy and safetensors",
         )?;
-        let said: Value =
-            serde_json::from_str(&said).map_err(|error| format!("its configuration is no JSON: {error}"))?;
+        let said: Value = serde_json::from_str(&said)
+            .map_err(|error| format!("its configuration is no JSON: {error}"))?;
         Self::read(&said).map_err(|reason| format!("of its configuration, {reason}"))
     }
 
@@ -51,7 +52,9 @@ impl Config {
                 return Err(format!("{path} = {got} is not known here"));
             }
         }
-        let updater = text(said, "point_updater.name").unwrap_or_default().to_lowercase();
+        let updater = text(said, "point_updater.name")
+            .unwrap_or_default()
+            .to_lowercase();
         if updater.contains("svd") || updater.contains("refine") {
             return Err(format!("point_updater.name = {updater} is not known here"));
         }
@@ -70,7 +73,8 @@ impl Config {
         if norm_mode != "isotropic" {
             return Err(format!("norm_mode = {norm_mode} is not known here"));
         }
-        let norm_scale = at(said, "norm_scale").map_or(1.0, |scale| scale.as_f64().unwrap_or(f64::NAN));
+        let norm_scale =
+            at(said, "norm_scale").map_or(1.0, |scale| scale.as_f64().unwrap_or(f64::NAN));
         if !(norm_scale.is_finite() && norm_scale > 0.0) {
             return Err("norm_scale is no positive number".into());
         }
@@ -102,7 +106,9 @@ const ONLY: [(&str, &str); 11] = [
 ];
 
 fn at<'a>(said: &'a Value, path: &str) -> Option<&'a Value> {
-    path.split('.').try_fold(said, |value, key| value.get(key)).filter(|value| !value.is_null())
+    path.split('.')
+        .try_fold(said, |value, key| value.get(key))
+        .filter(|value| !value.is_null())
 }
 
 fn text<'a>(said: &'a Value, path: &str) -> Option<&'a str> {
@@ -114,7 +120,9 @@ fn count(said: &Value, path: &str, otherwise: Option<usize>) -> Result<usize, St
         return otherwise.ok_or_else(|| format!("{path} is missing"));
     };
     let count = value.as_u64().filter(|n| (1..=MOST).contains(n));
-    count.map(|n| n as usize).ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
+    count
+        .map(|n| n as usize)
+        .ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
 }
 
 /// The entry `config` of the metadata of a safetensors file; `None` for anything else.
@@ -165,7 +173,8 @@ impl Sizes {
     pub fn in_checkpoint(shapes: &Shapes, config: &Config) -> Result<Self, String> {
         let of = |name: &str, axis: usize| {
             let size = shapes.get(name).and_then(|shape| shape.get(axis).copied());
-            size.filter(|&n| n > 0).ok_or_else(|| format!("{name} is missing or has no axis {axis}"))
+            size.filter(|&n| n > 0)
+                .ok_or_else(|| format!("{name} is missing or has no axis {axis}"))
         };
         let layers = |prefix: &str, rest: &str| {
             let there = |i: &usize| shapes.contains_key(&format!("{prefix}.{i}.{rest}"));
@@ -188,7 +197,10 @@ impl Sizes {
             space_depth: layers("point_updater.space_virtual_blocks", "mlp.fc1.weight"),
             times: of("time_emb", 1)?,
         };
-        sizes.check(config, of("corr_processor.posenc_mlps.0.norm_in.weight", 0)?)?;
+        sizes.check(
+            config,
+            of("corr_processor.posenc_mlps.0.norm_in.weight", 0)?,
+        )?;
         Ok(sizes)
     }
 
@@ -199,18 +211,42 @@ impl Sizes {
             format!("offsets of {offsets} numbers are those of options that are not known here"),
         )?;
         let (sets, levels) = (self.sets, config.levels);
-        fits(sets == levels, format!("{sets} levels of neighbourhoods where the configuration has {levels}"))?;
+        fits(
+            sets == levels,
+            format!("{sets} levels of neighbourhoods where the configuration has {levels}"),
+        )?;
         let input = 1 + config.levels * self.tokens + width(6);
-        fits(self.input == input, format!("the updater takes {} numbers, not {input}", self.input))?;
-        fits(self.output >= 4, format!("the updater says {} numbers, not 4", self.output))?;
-        let heads = [(self.token_heads, config.heads), (self.hidden, config.updater_heads)];
+        fits(
+            self.input == input,
+            format!("the updater takes {} numbers, not {input}", self.input),
+        )?;
+        fits(
+            self.output >= 4,
+            format!("the updater says {} numbers, not 4", self.output),
+        )?;
+        let heads = [
+            (self.token_heads, config.heads),
+            (self.hidden, config.updater_heads),
+        ];
         for (width, heads) in heads {
-            fits(width % heads == 0, format!("{width} channels cannot be those of {heads} heads"))?;
+            fits(
+                width % heads == 0,
+                format!("{width} channels cannot be those of {heads} heads"),
+            )?;
         }
         fits(
             self.space_depth > 0 && self.time_depth >= self.space_depth,
-            format!("{} layers over time and {} over space", self.time_depth, self.space_depth),
+            format!(
+                "{} layers over time and {} over space",
+                self.time_depth, self.space_depth
+            ),
         )?;
-        fits(self.times == config.window, format!("times of {} frames for windows of {}", self.times, config.window))
+        fits(
+            self.times == config.window,
+            format!(
+                "times of {} frames for windows of {}",
+                self.times, config.window
+            ),
+        )
     }
 }

@@ -1,4 +1,5 @@
-//! Depth as the network takes it: in its size, with edges of objects taken from beside them, and the range that counts.
+//! Depth as the network takes it: in its size, with edges of objects taken from beside them, and
+//! the range that counts.
 
 use super::frame::PosedPinhole;
 use crate::ops::{Kernels, resampled};
@@ -22,7 +23,11 @@ pub fn resized(depth: &DepthMap, size: (usize, usize)) -> Vec<f32> {
     let there = resampled(&there, w, h, &columns, &rows);
     let mut z = resampled(&z, w, h, &columns, &rows);
     for (z, there) in z.iter_mut().zip(there) {
-        *z = if there > 1e-6 { *z / (there + 1e-6) } else { 0.0 };
+        *z = if there > 1e-6 {
+            *z / (there + 1e-6)
+        } else {
+            0.0
+        };
     }
     z
 }
@@ -37,7 +42,11 @@ const FARTHEST: f32 = 1e9;
 type Vec3 = [f64; 3];
 
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 fn unit(a: Vec3) -> Vec3 {
@@ -45,18 +54,22 @@ fn unit(a: Vec3) -> Vec3 {
     a.map(|x| x / length)
 }
 
-/// The places `(x, y)` of the window of three by three pixels around one, as far as they are in an image of `w` by `h`.
+/// The places `(x, y)` of the window of three by three pixels around one, as far as they are in an
+/// image of `w` by `h`.
 fn window(x: usize, y: usize, w: usize, h: usize) -> impl Iterator<Item = usize> {
     let columns = x.saturating_sub(1)..(x + 2).min(w);
     (y.saturating_sub(1)..(y + 2).min(h)).flat_map(move |y| columns.clone().map(move |x| y * w + x))
 }
 
-/// `z` `[h][w]` with depth at edges replaced by that of the nearest pixel that is known and no edge.
+/// `z` `[h][w]` with depth at edges replaced by that of the nearest pixel that is known and no
+/// edge.
 pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<f32> {
     let steps = map(w, h, |x, y| {
         let at = y * w + x;
         let near = || window(x, y, w, h).map(|i| z[i]).filter(|&z| z > 0.0);
-        let (low, high) = near().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+        let (low, high) = near().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| {
+            (low.min(z), high.max(z))
+        });
         z[at] > 0.0 && (high - low) / z[at] > JUMP
     });
     if !steps.contains(&true) {
@@ -74,24 +87,40 @@ pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<f3
             known && n[0] * other[0] + n[1] * other[1] + n[2] * other[2] < least
         })
     });
-    let edges = map(w, h, |x, y| steps[y * w + x] && window(x, y, w, h).any(|i| turns[i]));
-    let sound: Vec<bool> = z.iter().zip(&edges).map(|(&z, &edge)| z > 0.0 && !edge).collect();
+    let edges = map(w, h, |x, y| {
+        steps[y * w + x] && window(x, y, w, h).any(|i| turns[i])
+    });
+    let sound: Vec<bool> = z
+        .iter()
+        .zip(&edges)
+        .map(|(&z, &edge)| z > 0.0 && !edge)
+        .collect();
     let nearest = nearest_pixels(&sound, w, h);
     let replaced = |i: usize| {
-        if edges[i] { nearest[i].map_or(z[i], |j| z[j]) } else { z[i] }
+        if edges[i] {
+            nearest[i].map_or(z[i], |j| z[j])
+        } else {
+            z[i]
+        }
     };
     (0..w * h).map(replaced).collect()
 }
 
 fn map<T: Send>(w: usize, h: usize, f: impl Fn(usize, usize) -> T + Sync) -> Vec<T> {
-    (0..h).into_par_iter().flat_map_iter(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| f(x, y)).collect()
+    (0..h)
+        .into_par_iter()
+        .flat_map_iter(|y| (0..w).map(move |x| (x, y)))
+        .map(|(x, y)| f(x, y))
+        .collect()
 }
 
 /// The normal at a pixel, the mean of those of its four corners, and whether one of these is known.
 fn normal(z: &[f32], w: usize, h: usize, lens: &PosedPinhole, x: usize, y: usize) -> (Vec3, bool) {
     let point = |dx: isize, dy: isize| -> Option<Vec3> {
         let (x, y) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
-        let depth = (x < w && y < h).then(|| z[y * w + x]).filter(|&z| z > 0.0)?;
+        let depth = (x < w && y < h)
+            .then(|| z[y * w + x])
+            .filter(|&z| z > 0.0)?;
         Some(lens.ray([x as f64, y as f64]).map(|r| r * f64::from(depth)))
     };
     let none = ([0.0; 3], false);
@@ -129,7 +158,10 @@ const EXPONENTS: (u32, u32) = (127 - 40, 127 + 40);
 impl Histogram {
     pub fn new() -> Self {
         let bins = (EXPONENTS.1 - EXPONENTS.0) << (23 - DROPPED_BITS);
-        Self { counts: vec![0; bins as usize], total: 0 }
+        Self {
+            counts: vec![0; bins as usize],
+            total: 0,
+        }
     }
 
     /// Takes in the known ones of `depths`.
@@ -155,8 +187,8 @@ impl Histogram {
         f64::from(f32::from_bits(bits + (1 << (DROPPED_BITS - 1))))
     }
 
-    /// The depths that count: up to the third quartile and one and a half times what lies between it and the first. `None` if
-    /// no depth is known.
+    /// The depths that count: up to the third quartile and one and a half times what lies between
+    /// it and the first. `None` if no depth is known.
     pub fn range(&self) -> Option<[f32; 2]> {
         (self.total > 0).then(|| {
             let quartile = |share: f64| self.value(((share * self.total as f64) as u64).max(1));
@@ -166,15 +198,19 @@ impl Histogram {
     }
 }
 
-/// In time that goes with the pixels (Meijster et al., "A General Algorithm for Computing Distance Transforms in Linear Time", 2000):
-/// for each pixel of an image of `w` by `h` the nearest one that is `in_set`; `None` if there is none.
+/// In time that goes with the pixels (Meijster et al., "A General Algorithm for Computing Distance
+/// Transforms in Linear Time", 2000): for each pixel of an image of `w` by `h` the nearest one that
+/// is `in_set`; `None` if there is none.
 pub fn nearest_pixels(in_set: &[bool], w: usize, h: usize) -> Vec<Option<usize>> {
     let rows = nearest_in_columns(in_set, w, h);
     let mut out = vec![None; w * h];
     if w == 0 {
         return out;
     }
-    out.par_chunks_mut(w).zip(rows.par_chunks(w)).enumerate().for_each(|(y, (out, rows))| along_row(out, rows, y, w));
+    out.par_chunks_mut(w)
+        .zip(rows.par_chunks(w))
+        .enumerate()
+        .for_each(|(y, (out, rows))| along_row(out, rows, y, w));
     out
 }
 
@@ -221,10 +257,15 @@ fn along_row(out: &mut [Option<usize>], rows: &[Option<usize>], y: usize, w: usi
     }
     let mut k = 0;
     for (x, out) in out.iter_mut().enumerate() {
-        while columns.get(k + 1).is_some_and(|&(_, begins)| begins < x as f64) {
+        while columns
+            .get(k + 1)
+            .is_some_and(|&(_, begins)| begins < x as f64)
+        {
             k += 1;
         }
-        *out = columns.get(k).and_then(|&(column, _)| rows[column].map(|row| row * w + column));
+        *out = columns
+            .get(k)
+            .and_then(|&(column, _)| rows[column].map(|row| row * w + column));
     }
 }
 
@@ -235,7 +276,9 @@ mod tests {
 
     #[test]
     fn quartiles_are_those_of_sorting() {
-        let mut depths: Vec<f32> = (0..4001).map(|i| 0.3 + ((i * 7919) % 4001) as f32 * 0.01).collect();
+        let mut depths: Vec<f32> = (0..4001)
+            .map(|i| 0.3 + ((i * 7919) % 4001) as f32 * 0.01)
+            .collect();
         let mut histogram = Histogram::new();
         depths.push(0.0);
         depths.push(f32::NAN);
@@ -246,7 +289,10 @@ mod tests {
         let (low, high) = (sorted[1000 - 1], sorted[3000 - 1]);
         let want = high + 1.5 * (high - low);
         let [least, most] = histogram.range().unwrap();
-        assert!(least == 1e-7 && (most / want - 1.0).abs() < 5e-5, "{most} for {want}");
+        assert!(
+            least == 1e-7 && (most / want - 1.0).abs() < 5e-5,
+            "{most} for {want}"
+        );
         assert_eq!(Histogram::new().range(), None);
         histogram.add(&[1e-30, 1e30, f32::MIN_POSITIVE, f32::MAX]);
         assert_eq!(histogram.total, 4005);
@@ -272,7 +318,9 @@ mod tests {
         for step in [3, 7, 29, 101, 1000] {
             let set: Vec<bool> = (0..w * h).map(|i| (i * i * 31 + 5) % step == 1).collect();
             let got = nearest_pixels(&set, w, h);
-            let square = |i: usize, j: usize| (i % w).abs_diff(j % w).pow(2) + (i / w).abs_diff(j / w).pow(2);
+            let square = |i: usize, j: usize| {
+                (i % w).abs_diff(j % w).pow(2) + (i / w).abs_diff(j / w).pow(2)
+            };
             for (i, got) in got.iter().enumerate() {
                 let want = (0..w * h).filter(|&j| set[j]).map(|j| square(i, j)).min();
                 assert_eq!(got.map(|j| square(i, j)), want, "{i}");

@@ -49,10 +49,11 @@ impl Encoder {
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [_, _, h, w] = x.dims();
         let mut x = relu(instance_norm(convolve([x], &self.conv1)));
-        let stages = [&self.layer1, &self.layer2, &self.layer3, &self.layer4].map(|[first, second]| {
-            x = second.forward(first.forward(x.clone(), Norm::Instance), Norm::Instance);
-            interpolated(x.clone(), [h / STRIDE, w / STRIDE], true)
-        });
+        let stages =
+            [&self.layer1, &self.layer2, &self.layer3, &self.layer4].map(|[first, second]| {
+                x = second.forward(first.forward(x.clone(), Norm::Instance), Norm::Instance);
+                interpolated(x.clone(), [h / STRIDE, w / STRIDE], true)
+            });
         let x = relu(instance_norm(convolve(stages, &self.conv2)));
         convolve([x], &self.conv3)
     }

@@ -1,8 +1,8 @@
 //! Lengths as sines and cosines of sixteen frequencies.
 //!
-//! `[x, sin(2^k x), sin(2^k x + pi / 2)]` for k = -2 to 13, frequency by frequency, in each the dimensions of `x`. Angles go into the
-//! ten thousands, where sines of 32 bits from a library or a GPU are slow or wrong: here an angle is reduced in turns, of which
-//! doubling loses nothing.
+//! `[x, sin(2^k x), sin(2^k x + pi / 2)]` for k = -2 to 13, frequency by frequency, in each the
+//! dimensions of `x`. Angles go into the ten thousands, where sines of 32 bits from a library or a
+//! GPU are slow or wrong: here an angle is reduced in turns, of which doubling loses nothing.
 
 use crate::ops::tensor;
 use burn_core::tensor::{DType, Device, Tensor};
@@ -33,8 +33,15 @@ pub fn encoded<const D: usize>(lengths: &[[f32; D]], device: &Device, dtype: DTy
 
 /// `sin(2 pi t)` for `t` in [-1/4, 1/4], within 1e-7.
 fn sine_of_turns(t: f32) -> f32 {
-    const C: [f64; 7] =
-        [1.0, -1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362_880.0, -1.0 / 39_916_800.0, 1.0 / 6_227_020_800.0];
+    const C: [f64; 7] = [
+        1.0,
+        -1.0 / 6.0,
+        1.0 / 120.0,
+        -1.0 / 5040.0,
+        1.0 / 362_880.0,
+        -1.0 / 39_916_800.0,
+        1.0 / 6_227_020_800.0,
+    ];
     let x = t * std::f32::consts::TAU;
     let square = x * x;
     let mut p = C[6] as f32;
@@ -48,37 +55,49 @@ fn on_processor<const D: usize>(lengths: &[[f32; D]]) -> Vec<f32> {
     // adding 1.5 * 2^52 rounds to whole numbers
     const MAGIC: f64 = 6_755_399_441_055_744.0;
     let mut out = vec![0.0; lengths.len() * width(D)];
-    out.par_chunks_mut(ROWS * width(D)).zip(lengths.par_chunks(ROWS)).for_each(|(out, lengths)| {
-        for (row, x) in out.chunks_exact_mut(width(D)).zip(lengths) {
-            let (same, waves) = row.split_at_mut(D);
-            same.copy_from_slice(x);
-            let (sines, cosines) = waves.split_at_mut(D * FREQUENCIES);
-            let turns = x.map(|x| f64::from(x) / TAU);
-            let mut scale = 2f64.powi(LOWEST);
-            for (sines, cosines) in sines.chunks_exact_mut(D).zip(cosines.chunks_exact_mut(D)) {
-                for d in 0..D {
-                    let turn = turns[d] * scale;
-                    let part = (turn - ((turn + MAGIC) - MAGIC)) as f32;
-                    let distance = part.abs();
-                    // to the quarter beside 0 with the same sine
-                    let folded = distance.min(0.5 - distance).copysign(part);
-                    sines[d] = sine_of_turns(folded);
-                    cosines[d] = sine_of_turns(0.25 - distance);
+    out.par_chunks_mut(ROWS * width(D))
+        .zip(lengths.par_chunks(ROWS))
+        .for_each(|(out, lengths)| {
+            for (row, x) in out.chunks_exact_mut(width(D)).zip(lengths) {
+                let (same, waves) = row.split_at_mut(D);
+                same.copy_from_slice(x);
+                let (sines, cosines) = waves.split_at_mut(D * FREQUENCIES);
+                let turns = x.map(|x| f64::from(x) / TAU);
+                let mut scale = 2f64.powi(LOWEST);
+                for (sines, cosines) in sines.chunks_exact_mut(D).zip(cosines.chunks_exact_mut(D)) {
+                    for d in 0..D {
+                        let turn = turns[d] * scale;
+                        let part = (turn - ((turn + MAGIC) - MAGIC)) as f32;
+                        let distance = part.abs();
+                        // to the quarter beside 0 with the same sine
+                        let folded = distance.min(0.5 - distance).copysign(part);
+                        sines[d] = sine_of_turns(folded);
+                        cosines[d] = sine_of_turns(0.25 - distance);
+                    }
+                    scale *= 2.0;
                 }
-                scale *= 2.0;
             }
-        }
-    });
+        });
     out
 }
 
 /// The same by operations that every device has: turns come as two numbers of 32 bits.
 fn by_tensors<const D: usize>(lengths: &[[f32; D]], device: &Device) -> Tensor<2> {
     let n = lengths.len();
-    let turns: Vec<f64> = lengths.as_flattened().iter().map(|&x| f64::from(x) / TAU).collect();
+    let turns: Vec<f64> = lengths
+        .as_flattened()
+        .iter()
+        .map(|&x| f64::from(x) / TAU)
+        .collect();
     let high: Vec<f32> = turns.iter().map(|&t| t as f32).collect();
-    let low: Vec<f32> = turns.iter().zip(&high).map(|(t, &h)| (t - f64::from(h)) as f32).collect();
-    let scales = (0..FREQUENCIES as i32).map(|k| 2f32.powi(LOWEST + k)).collect();
+    let low: Vec<f32> = turns
+        .iter()
+        .zip(&high)
+        .map(|(t, &h)| (t - f64::from(h)) as f32)
+        .collect();
+    let scales = (0..FREQUENCIES as i32)
+        .map(|k| 2f32.powi(LOWEST + k))
+        .collect();
     let scales: Tensor<3> = tensor(scales, [1, FREQUENCIES, 1], device);
     let [high, low] = [high, low].map(|part| tensor(part, [n, 1, D], device) * scales.clone());
     let nearest = |x: Tensor<3>| x.clone() - x.round();
@@ -88,7 +107,14 @@ fn by_tensors<const D: usize>(lengths: &[[f32; D]], device: &Device) -> Tensor<2
         wave.reshape([n, FREQUENCIES * D])
     };
     let same = tensor(lengths.as_flattened().to_vec(), [n, D], device);
-    Tensor::cat(vec![same, sine(turn.clone()), sine(nearest(turn.add_scalar(0.25)))], 1)
+    Tensor::cat(
+        vec![
+            same,
+            sine(turn.clone()),
+            sine(nearest(turn.add_scalar(0.25))),
+        ],
+        1,
+    )
 }
 
 #[cfg(test)]
@@ -110,8 +136,14 @@ mod tests {
                 for d in 0..3 {
                     let angle = f64::from(x[d]) * 2f64.powi(LOWEST + k as i32);
                     let (sine, cosine) = (row[3 + 3 * k + d], row[3 + 3 * (FREQUENCIES + k) + d]);
-                    assert!((f64::from(sine) - angle.sin()).abs() < 4e-7, "sin {angle}: {sine}");
-                    assert!((f64::from(cosine) - (angle + PI / 2.0).sin()).abs() < 4e-7, "cos {angle}: {cosine}");
+                    assert!(
+                        (f64::from(sine) - angle.sin()).abs() < 4e-7,
+                        "sin {angle}: {sine}"
+                    );
+                    assert!(
+                        (f64::from(cosine) - (angle + PI / 2.0).sin()).abs() < 4e-7,
+                        "cos {angle}: {cosine}"
+                    );
                 }
             }
         }

@@ -1,4 +1,5 @@
-//! Blocks of attention, as CoTracker3 has them: pre-normalised without weights, feed-forward layers with the activation by `tanh`.
+//! Blocks of attention, as CoTracker3 has them: pre-normalised without weights, feed-forward layers
+//! with the activation by `tanh`.
 
 use crate::ops::{gelu_by_tanh, in_parts, linear, norm};
 use burn_core as burn;
@@ -29,7 +30,8 @@ pub struct Attention {
 }
 
 impl Attention {
-    /// Of tokens of `width` channels, in `heads` heads that have `inner` together; `biased` if queries, keys and values are.
+    /// Of tokens of `width` channels, in `heads` heads that have `inner` together; `biased` if
+    /// queries, keys and values are.
     pub fn new(width: usize, inner: usize, heads: usize, biased: bool, device: &Device) -> Self {
         Self {
             to_q: linear(width, inner, biased, device),
@@ -41,7 +43,8 @@ impl Attention {
 
     fn split(&self, x: Tensor<3>) -> Tensor<4> {
         let [b, n, c] = x.dims();
-        x.reshape([b, n, self.heads, c / self.heads]).swap_dims(1, 2)
+        x.reshape([b, n, self.heads, c / self.heads])
+            .swap_dims(1, 2)
     }
 
     /// Queries of every head of `x` `[b, n, width]`, scaled, `[b, heads, n, c]`.
@@ -67,16 +70,25 @@ impl Attention {
         flat(found.reshape([b, n, h * c]), |x| self.to_out.forward(x))
     }
 
-    /// The same as [`found`](Self::found) for one query token `[1, width]`, as matrices that tokens are multiplied with.
+    /// The same as [`found`](Self::found) for one query token `[1, width]`, as matrices that tokens
+    /// are multiplied with.
     pub fn pooling(&self, token: Tensor<2>) -> Pooling {
         let [_, width] = token.dims();
         let q = self.queries(token.unsqueeze_dim(0)).squeeze_dim::<3>(0);
         let [heads, _, c] = q.dims();
-        let weights = self.to_kv.weight.val().reshape([width, 2, heads, c]).permute([1, 2, 0, 3]);
+        let weights = self
+            .to_kv
+            .weight
+            .val()
+            .reshape([width, 2, heads, c])
+            .permute([1, 2, 0, 3]);
         let [keys, values] = [0, 1].map(|i| weights.clone().narrow(0, i, 1).squeeze_dim::<3>(0));
         let out = self.to_out.weight.val().reshape([heads, c, width]);
         Pooling {
-            scores: keys.matmul(q.swap_dims(1, 2)).squeeze_dim::<2>(2).transpose(),
+            scores: keys
+                .matmul(q.swap_dims(1, 2))
+                .squeeze_dim::<2>(2)
+                .transpose(),
             values: values.matmul(out).reshape([heads * width, width]),
             bias: self.to_out.bias.as_ref().map(|bias| bias.val()),
         }
@@ -100,7 +112,9 @@ impl Pooling {
         let [_, heads] = self.scores.dims();
         let scores = flat(x.clone(), |x| x.matmul(self.scores.clone()));
         let found = softmax(scores.swap_dims(1, 2), 2).matmul(x);
-        let found = found.reshape([b, heads * width]).matmul(self.values.clone());
+        let found = found
+            .reshape([b, heads * width])
+            .matmul(self.values.clone());
         match &self.bias {
             Some(bias) => found + bias.clone().unsqueeze(),
             None => found,
@@ -127,11 +141,18 @@ const MLP_TOKENS: usize = 512;
 
 impl Mlp {
     fn new(width: usize, hidden: usize, device: &Device) -> Self {
-        Self { fc1: linear(width, hidden, true, device), fc2: linear(hidden, width, true, device) }
+        Self {
+            fc1: linear(width, hidden, true, device),
+            fc2: linear(hidden, width, true, device),
+        }
     }
 
     fn forward(&self, x: Tensor<3>) -> Tensor<3> {
-        flat(x, |x| in_parts(x, 0, MLP_TOKENS, |x| self.fc2.forward(gelu_by_tanh(self.fc1.forward(x)))))
+        flat(x, |x| {
+            in_parts(x, 0, MLP_TOKENS, |x| {
+                self.fc2.forward(gelu_by_tanh(self.fc1.forward(x)))
+            })
+        })
     }
 }
 
@@ -144,13 +165,18 @@ pub struct SelfBlock {
 
 impl SelfBlock {
     pub fn new(width: usize, hidden: usize, heads: usize, device: &Device) -> Self {
-        Self { attn: Attention::new(width, width, heads, true, device), mlp: Mlp::new(width, hidden, device) }
+        Self {
+            attn: Attention::new(width, width, heads, true, device),
+            mlp: Mlp::new(width, hidden, device),
+        }
     }
 
     /// Of tokens `[b, n, width]`: the same shape.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let y = plain_norm(x.clone());
-        let x = x + self.attn.found(self.attn.queries(y.clone()), self.attn.keys_values(y));
+        let x = x + self
+            .attn
+            .found(self.attn.queries(y.clone()), self.attn.keys_values(y));
         x.clone() + self.mlp.forward(plain_norm(x))
     }
 }

@@ -1,9 +1,11 @@
-//! TAPIP3D: points of the world, followed through a clip whose cameras and depth are known, whether they are seen or not.
+//! TAPIP3D: points of the world, followed through a clip whose cameras and depth are known, whether
+//! they are seen or not.
 //!
-//! - Paper: Zhang et al., "TAPIP3D: Tracking Any Point in Persistent 3D Geometry", 2025. Its encoder and updater are those of Karaev et
-//!   al., "CoTracker3: Simpler and Better Point Tracking by Pseudo-Labelling Real Videos", 2024.
-//! - Upstream: zbww/tapip3d. The encoder's weights started as CoTracker3's, which are CC BY-NC 4.0: see the licence of the weights
-//!   before they are used for more than research.
+//! - Paper: Zhang et al., "TAPIP3D: Tracking Any Point in Persistent 3D Geometry", 2025. Its
+//!   encoder and updater are those of Karaev et al., "CoTracker3: Simpler and Better Point Tracking
+//!   by Pseudo-Labelling Real Videos", 2024.
+//! - Upstream: zbww/tapip3d. The encoder's weights started as CoTracker3's, which are CC BY-NC 4.0:
+//!   see the licence of the weights before they are used for more than research.
 //!
 //! ```text
 //! image --encoder--> features at 1/4, 1/8, 1/16, 1/32       depth, camera --> where these pixels are in the world
@@ -13,12 +15,15 @@
 //! windows start every 8 frames with what the one before found; frames before a query are followed on the reversed clip
 //! ```
 //!
-//! Queries are followed in groups that share a window's work; points of a group see each other through the virtual ones, so that what
-//! is predicted for a point depends a little on the group, and thereby on the setting for memory. It depends on nothing else: the same
-//! input gives the same bits on the processor for any number of threads. Each group has a grid of points of the first frame beside it.
+//! Queries are followed in groups that share a window's work; points of a group see each other
+//! through the virtual ones, so that what is predicted for a point depends a little on the group,
+//! and thereby on the setting for memory. It depends on nothing else: the same input gives the same
+//! bits on the processor for any number of threads. Each group has a grid of points of the first
+//! frame beside it.
 //!
-//! Where points are stays in 32 bits whatever the network computes in, and the search for neighbours runs on the processor for every
-//! device. Depth that is not known is 0: its pixels are at the camera's centre, where the network learned to have them.
+//! Where points are stays in 32 bits whatever the network computes in, and the search for
+//! neighbours runs on the processor for every device. Depth that is not known is 0: its pixels are
+//! at the camera's centre, where the network learned to have them.
 
 mod clip;
 mod config;
@@ -91,8 +96,8 @@ impl Net {
 }
 
 impl Tapip3d {
-    /// The network with the weights of the checkpoint at `path`, on `device`: one that `tools/models/convert_tapip3d.py` made of the
-    /// published one.
+    /// The network with the weights of the checkpoint at `path`, on `device`: one that
+    /// `tools/models/convert_tapip3d.py` made of the published one.
     ///
     /// # Errors
     ///
@@ -101,7 +106,9 @@ impl Tapip3d {
         let on: Compute = on.into();
         let device = &on.device;
         if !path.is_file() {
-            return Err(LoadError::Missing { path: path.to_owned() });
+            return Err(LoadError::Missing {
+                path: path.to_owned(),
+            });
         }
         let config = Config::of_checkpoint(path).map_err(|reason| LoadError::Unreadable {
             path: path.to_owned(),
@@ -109,11 +116,16 @@ impl Tapip3d {
             reason,
         })?;
         let shapes = load::shapes(NAME, path, &RENAMES)?;
-        let sizes =
-            Sizes::in_checkpoint(&shapes, &config).map_err(|wrong| LoadError::misfit(NAME, path, &[], &[wrong]))?;
+        let sizes = Sizes::in_checkpoint(&shapes, &config)
+            .map_err(|wrong| LoadError::misfit(NAME, path, &[], &[wrong]))?;
         let mut net = Net::new(&sizes, &config, device);
         load::fill(&mut net, NAME, path, &RENAMES, |_| false)?;
-        Ok(Self { net: on.fit(net), config, sizes, device: device.clone() })
+        Ok(Self {
+            net: on.fit(net),
+            config,
+            sizes,
+            device: device.clone(),
+        })
     }
 
     /// Columns and rows that upstream brings frames to: twice the pixels of training.
@@ -127,8 +139,8 @@ impl Tapip3d {
     ///
     /// # Errors
     ///
-    /// [`NetError`] if the clip has no frames or no depth, a frame cannot be had, a query is in none of them, the size is too
-    /// small, the device fails, or `progress` is cancelled.
+    /// [`NetError`] if the clip has no frames or no depth, a frame cannot be had, a query is in
+    /// none of them, the size is too small, the device fails, or `progress` is cancelled.
     pub fn track(
         &self,
         clip: &dyn PosedClip,

@@ -1,7 +1,8 @@
 //! The nearest points of a map: exact, and the same for any order of work.
 //!
-//! A map has some ten thousand points, row by row, so that points that follow each other are near each other: boxes around runs of
-//! them rule nearly all out. Of points at the same distance the one that comes first in the map is the nearer.
+//! A map has some ten thousand points, row by row, so that points that follow each other are near
+//! each other: boxes around runs of them rule nearly all out. Of points at the same distance the
+//! one that comes first in the map is the nearer.
 
 /// Points of a run.
 const RUN: usize = 32;
@@ -35,7 +36,12 @@ impl Cloud {
         };
         let low = [0, 1, 2].map(|axis| fold(axis, f32::INFINITY, f32::min));
         let high = [0, 1, 2].map(|axis| fold(axis, f32::NEG_INFINITY, f32::max));
-        Self { points, axes, low, high }
+        Self {
+            points,
+            axes,
+            low,
+            high,
+        }
     }
 
     pub fn points(&self) -> &[[f32; 3]] {
@@ -43,8 +49,17 @@ impl Cloud {
     }
 
     /// The numbers of the `k` points nearest to `q`, nearest first; all, if there are fewer.
-    pub fn nearest<'a>(&self, q: [f32; 3], k: usize, search: &'a mut Search) -> impl Iterator<Item = u32> + use<'a> {
-        let Search { bounds, order, best } = search;
+    pub fn nearest<'a>(
+        &self,
+        q: [f32; 3],
+        k: usize,
+        search: &'a mut Search,
+    ) -> impl Iterator<Item = u32> + use<'a> {
+        let Search {
+            bounds,
+            order,
+            best,
+        } = search;
         best.clear();
         self.bounds(q, bounds);
         let runs = bounds.len();
@@ -53,7 +68,9 @@ impl Cloud {
         let first = FIRST.min(runs);
         if first < runs {
             order.select_nth_unstable_by(first, |&a, &b| {
-                bounds[a as usize].total_cmp(&bounds[b as usize]).then(a.cmp(&b))
+                bounds[a as usize]
+                    .total_cmp(&bounds[b as usize])
+                    .then(a.cmp(&b))
             });
         }
         for &run in &order[..first] {
@@ -69,7 +86,8 @@ impl Cloud {
         best.iter().map(|&(_, i)| i)
     }
 
-    /// Squared distances to the boxes: none is above that to a point in it, as the same operations round them.
+    /// Squared distances to the boxes: none is above that to a point in it, as the same operations
+    /// round them.
     fn bounds(&self, q: [f32; 3], bounds: &mut Vec<f32>) {
         bounds.clear();
         bounds.resize(self.low[0].len(), 0.0);
@@ -148,12 +166,16 @@ mod tests {
         for points in [surface, grid, same] {
             let cloud = Cloud::new(points.clone());
             for q in 0..300 {
-                let q = [u[q] * 30.0, u[q + 300] * 25.0, u[q + 600]].map(|x| (x * 4.0).round() / 4.0);
+                let q =
+                    [u[q] * 30.0, u[q + 300] * 25.0, u[q + 600]].map(|x| (x * 4.0).round() / 4.0);
                 let got: Vec<u32> = cloud.nearest(q, 32, &mut search).collect();
                 assert_eq!(got, by_sorting(&points, q, 32), "{q:?}");
             }
         }
         let few = Cloud::new(vec![[0.0; 3], [1.0; 3]]);
-        assert_eq!(few.nearest([1.0; 3], 32, &mut search).collect::<Vec<_>>(), [1, 0]);
+        assert_eq!(
+            few.nearest([1.0; 3], 32, &mut search).collect::<Vec<_>>(),
+            [1, 0]
+        );
     }
 }

@@ -9,7 +9,8 @@ use m4_core::Progress;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The order in which frames are gone through: times count from 0 in that order, and beyond its end it is static.
+/// The order in which frames are gone through: times count from 0 in that order, and beyond its end
+/// it is static.
 #[derive(Debug, Clone, Copy)]
 pub struct FrameOrder {
     pub frames: usize,
@@ -20,16 +21,26 @@ pub struct FrameOrder {
 impl FrameOrder {
     pub fn frame(self, time: usize) -> usize {
         let time = time.min(self.frames - 1);
-        if self.backward { self.frames - 1 - time } else { time }
+        if self.backward {
+            self.frames - 1 - time
+        } else {
+            time
+        }
     }
 
     pub fn time(self, frame: usize) -> usize {
-        if self.backward { self.frames - 1 - frame } else { frame }
+        if self.backward {
+            self.frames - 1 - frame
+        } else {
+            frame
+        }
     }
 
     /// Times with what is repeated at the end: whole halves of windows, and one window at least.
     pub fn times(self) -> usize {
-        self.frames.next_multiple_of(self.window / 2).max(self.window)
+        self.frames
+            .next_multiple_of(self.window / 2)
+            .max(self.window)
     }
 
     /// Where windows begin.
@@ -53,10 +64,17 @@ pub struct TrackedPoint {
 
 impl TrackedPoint {
     fn new(query: Option<usize>, time: usize, start: [f32; 3], times: usize) -> Self {
-        Self { query, time, start, at: vec![start; times], logits: vec![0.0; times] }
+        Self {
+            query,
+            time,
+            start,
+            at: vec![start; times],
+            logits: vec![0.0; times],
+        }
     }
 
-    /// Where it is taken to be at step `j` of the window that begins at `first`, before that is worked with.
+    /// Where it is taken to be at step `j` of the window that begins at `first`, before that is
+    /// worked with.
     fn before(&self, first: usize, j: usize, window: usize) -> ([f32; 3], f32) {
         let half = window / 2;
         if self.time < first + half {
@@ -85,8 +103,16 @@ impl Frames {
     /// Lets go of frames that are not in `needed`, those first that the backward pass needs last.
     fn shrink(&mut self, needed: &[usize], order: FrameOrder) {
         while self.held.len() >= self.most {
-            let mut free = self.held.keys().copied().filter(|frame| !needed.contains(frame));
-            let Some(frame) = (if order.backward { free.next_back() } else { free.next() }) else {
+            let mut free = self
+                .held
+                .keys()
+                .copied()
+                .filter(|frame| !needed.contains(frame));
+            let Some(frame) = (if order.backward {
+                free.next_back()
+            } else {
+                free.next()
+            }) else {
                 return;
             };
             self.held.remove(&frame);
@@ -94,7 +120,8 @@ impl Frames {
     }
 }
 
-/// Takes all `groups` in `order`. What is `known` of queries grows in the forward pass, which comes first.
+/// Takes all `groups` in `order`. What is `known` of queries grows in the forward pass, which comes
+/// first.
 pub fn walk(
     source: &Source<'_>,
     order: FrameOrder,
@@ -109,7 +136,9 @@ pub fn walk(
     let mut walkers: Vec<Vec<TrackedPoint>> = vec![Vec::new(); groups.len()];
     let mut entered = 0;
     for first in order.starts() {
-        let needed: Vec<usize> = (first..first + order.window).map(|time| order.frame(time)).collect();
+        let needed: Vec<usize> = (first..first + order.window)
+            .map(|time| order.frame(time))
+            .collect();
         let mut window = Vec::with_capacity(order.window);
         for &frame in &needed {
             if progress.cancelled() {
@@ -121,7 +150,9 @@ pub fn walk(
                 if !order.backward {
                     known.learn(source, frame, &loaded, groups);
                 }
-                frames.held.insert(frame, Arc::new(loaded.frame(source.net)));
+                frames
+                    .held
+                    .insert(frame, Arc::new(loaded.frame(source.net)));
             }
             window.extend(frames.held.get(&frame).cloned());
         }
@@ -130,8 +161,9 @@ pub fn walk(
             for (group, walkers) in known.groups.iter().zip(&mut walkers) {
                 for batch in known.batches_at(group, order, time) {
                     let some = batch.points.iter().enumerate();
-                    let some =
-                        some.map(|(i, &p)| TrackedPoint::new(batch.queries.get(i).copied(), time, p, order.times()));
+                    let some = some.map(|(i, &p)| {
+                        TrackedPoint::new(batch.queries.get(i).copied(), time, p, order.times())
+                    });
                     walkers.extend(some);
                 }
             }
@@ -171,13 +203,23 @@ pub fn walk(
 impl State {
     /// Where `walkers` are taken to be in the window that begins at time `first`.
     fn before(walkers: &[TrackedPoint], first: usize, frames: usize, window: &Window) -> Self {
-        let all = (0..frames).flat_map(|j| walkers.iter().map(move |walker| walker.before(first, j, frames)));
-        let (at, logits) = all.map(|(at, logit)| (window.space.enter(at), logit)).unzip();
+        let all = (0..frames).flat_map(|j| {
+            walkers
+                .iter()
+                .map(move |walker| walker.before(first, j, frames))
+        });
+        let (at, logits) = all
+            .map(|(at, logit)| (window.space.enter(at), logit))
+            .unzip();
         Self { at, logits }
     }
 
     fn is_finite(&self) -> bool {
-        self.at.as_flattened().iter().chain(&self.logits).all(|x| x.is_finite())
+        self.at
+            .as_flattened()
+            .iter()
+            .chain(&self.logits)
+            .all(|x| x.is_finite())
     }
 
     /// Gives `walkers` what was found.
@@ -192,7 +234,8 @@ impl State {
 }
 
 impl TrackState {
-    /// Takes in what `loaded`, which is `frame`, shows of the queries in it, and the grid of points if it is an end of the clip.
+    /// Takes in what `loaded`, which is `frame`, shows of the queries in it, and the grid of points
+    /// if it is an end of the clip.
     fn learn(&mut self, source: &Source<'_>, frame: usize, loaded: &Loaded, groups: &[Group]) {
         let side = |points: &[[f32; 3]]| {
             sides(
@@ -207,14 +250,30 @@ impl TrackState {
         };
         for (known, group) in self.groups.iter_mut().zip(groups) {
             if let Some((queries, points)) = group.get(&frame) {
-                known.insert(frame, Batch { queries: queries.clone(), sides: side(points), points: points.clone() });
+                known.insert(
+                    frame,
+                    Batch {
+                        queries: queries.clone(),
+                        sides: side(points),
+                        points: points.clone(),
+                    },
+                );
             }
         }
         let ends = [frame == 0, frame + 1 == self.frames];
         if ends.contains(&true) && source.options.support_grid > 0 {
-            let points = grid(source.options.support_grid, &loaded.z, source.options.size, &loaded.geometry.lens);
+            let points = grid(
+                source.options.support_grid,
+                &loaded.z,
+                source.options.size,
+                &loaded.geometry.lens,
+            );
             if !points.is_empty() {
-                let batch = Batch { queries: Vec::new(), sides: side(&points), points };
+                let batch = Batch {
+                    queries: Vec::new(),
+                    sides: side(&points),
+                    points,
+                };
                 for (end, here) in self.grids.iter_mut().zip(ends) {
                     if here {
                         *end = Some(batch.clone());

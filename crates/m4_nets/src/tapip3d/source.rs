@@ -2,7 +2,9 @@
 
 use super::clip::PosedClip;
 use super::depth::{Histogram, cleaned, resized};
-use super::frame::{Frame, Geometry, PosedPinhole, Sides, image_tensor, map_sizes, maps, rows_of, sampled};
+use super::frame::{
+    Frame, Geometry, PosedPinhole, Sides, image_tensor, map_sizes, maps, rows_of, sampled,
+};
 use super::neighbours::{Cloud, Search};
 use super::{Net, Tapip3d, Tapip3dOptions};
 use crate::NetError;
@@ -22,12 +24,16 @@ pub struct Source<'a> {
 }
 
 fn bad_frame(frame: usize, reason: &str) -> NetError {
-    NetError::Input(format!("frame {frame} cannot be used to track points: {reason}"))
+    NetError::Input(format!(
+        "frame {frame} cannot be used to track points: {reason}"
+    ))
 }
 
 /// No depth is known in these frames.
 pub fn no_depth(first: usize, last: usize) -> NetError {
-    NetError::Input(format!("no depth is known in frames {first} to {last}: points cannot be tracked there"))
+    NetError::Input(format!(
+        "no depth is known in frames {first} to {last}: points cannot be tracked there"
+    ))
 }
 
 /// A frame before its features are prepared.
@@ -52,32 +58,57 @@ impl Loaded {
 
 impl<'a> Source<'a> {
     /// Of `clip`, in a world whose origin is the first camera.
-    pub fn new(net: &'a Tapip3d, clip: &'a dyn PosedClip, options: &'a Tapip3dOptions) -> Result<Self, NetError> {
+    pub fn new(
+        net: &'a Tapip3d,
+        clip: &'a dyn PosedClip,
+        options: &'a Tapip3dOptions,
+    ) -> Result<Self, NetError> {
         if clip.frames() == 0 {
             return refuse("points cannot be tracked in a clip without frames");
         }
-        let camera = clip.camera(0).map_err(|reason| NetError::Frame { frame: 0, reason })?;
-        let source = Self { net, clip, options, origin: camera.centre() };
+        let camera = clip
+            .camera(0)
+            .map_err(|reason| NetError::Frame { frame: 0, reason })?;
+        let source = Self {
+            net,
+            clip,
+            options,
+            origin: camera.centre(),
+        };
         source.lens(0)?;
         Ok(source)
     }
 
     fn lens(&self, frame: usize) -> Result<PosedPinhole, NetError> {
-        let camera = self.clip.camera(frame).map_err(|reason| NetError::Frame { frame, reason })?;
-        PosedPinhole::new(&camera, self.options.size, &self.origin)
-            .ok_or_else(|| bad_frame(frame, "its camera has no positive focal lengths, or numbers that are not finite"))
+        let camera = self
+            .clip
+            .camera(frame)
+            .map_err(|reason| NetError::Frame { frame, reason })?;
+        PosedPinhole::new(&camera, self.options.size, &self.origin).ok_or_else(|| {
+            bad_frame(
+                frame,
+                "its camera has no positive focal lengths, or numbers that are not finite",
+            )
+        })
     }
 
     /// Depth of `frame` in the network's size, and its camera.
     fn depth(&self, frame: usize) -> Result<(PosedPinhole, Vec<f32>), NetError> {
         let lens = self.lens(frame)?;
-        let depth = self.clip.depth(frame).map_err(|reason| NetError::Frame { frame, reason })?;
+        let depth = self
+            .clip
+            .depth(frame)
+            .map_err(|reason| NetError::Frame { frame, reason })?;
         if depth.data().is_empty() {
             return Err(bad_frame(frame, "its depth has no pixels"));
         }
         let size = self.options.size;
         let z = resized(&depth, size);
-        let z = if self.options.clean_edges { cleaned(&z, size, &lens) } else { z };
+        let z = if self.options.clean_edges {
+            cleaned(&z, size, &lens)
+        } else {
+            z
+        };
         Ok((lens, z))
     }
 
@@ -99,12 +130,20 @@ impl<'a> Source<'a> {
     /// `frame` with its features; depths within `range` count.
     pub fn load(&self, frame: usize, range: [f32; 2]) -> Result<Loaded, NetError> {
         let (lens, z) = self.depth(frame)?;
-        let image = self.clip.image(frame).map_err(|reason| NetError::Frame { frame, reason })?;
+        let image = self
+            .clip
+            .image(frame)
+            .map_err(|reason| NetError::Frame { frame, reason })?;
         if image.data().is_empty() {
             return Err(bad_frame(frame, "its image has no pixels"));
         }
         let (net, config) = (&self.net.net, &self.net.config);
-        let image = image_tensor(&image, self.options.size, &self.net.device, net.encoder.dtype());
+        let image = image_tensor(
+            &image,
+            self.options.size,
+            &self.net.device,
+            net.encoder.dtype(),
+        );
         Ok(Loaded {
             maps: maps(net, image, config.levels),
             geometry: Geometry::new(lens, &z, self.options.size, range, config.levels),
@@ -120,8 +159,8 @@ impl<'a> Source<'a> {
     }
 }
 
-/// What the network knows of `queries`, which are points of the world in a frame with the features `maps` (of the encoder) and the
-/// points `points`, a map per level, seen through `lens` in `size`.
+/// What the network knows of `queries`, which are points of the world in a frame with the features
+/// `maps` (of the encoder) and the points `points`, a map per level, seen through `lens` in `size`.
 pub fn sides(
     net: &Net,
     maps: &[Tensor<2>],
@@ -138,25 +177,40 @@ pub fn sides(
         let cloud = Cloud::new(points.clone());
         let near: Vec<Vec<u32>> = queries
             .par_iter()
-            .map_init(Search::default, |search, &q| cloud.nearest(q, neighbours, search).collect())
+            .map_init(Search::default, |search, &q| {
+                cloud.nearest(q, neighbours, search).collect()
+            })
             .collect();
         let scale = [w as f64 / size.0 as f64, h as f64 / size.1 as f64];
-        let places: Vec<[f64; 2]> = seen.iter().map(|p| [p[0] * scale[0], p[1] * scale[1]]).collect();
+        let places: Vec<[f64; 2]> = seen
+            .iter()
+            .map(|p| [p[0] * scale[0], p[1] * scale[1]])
+            .collect();
         let own = sampled(map, (w, h), &places);
         let others = rows_of(map, near.iter().flatten().map(|&i| i as i32).collect());
         let (n, [_, c]) = (queries.len(), own.dims());
-        let both = Tensor::cat(vec![own.reshape([n, 1, c]), others.reshape([n, neighbours, c])], 1);
-        let tokens = net.corr_processor.prepared(both.reshape([n * (1 + neighbours), c]));
+        let both = Tensor::cat(
+            vec![own.reshape([n, 1, c]), others.reshape([n, neighbours, c])],
+            1,
+        );
+        let tokens = net
+            .corr_processor
+            .prepared(both.reshape([n * (1 + neighbours), c]));
         let [_, c] = tokens.dims();
         features.push(tokens.reshape([n, 1 + neighbours, c]));
         let with_near = queries.iter().zip(&near);
         around.push(
             with_near
-                .flat_map(|(&q, near)| std::iter::once(q).chain(near.iter().map(|&i| points[i as usize])))
+                .flat_map(|(&q, near)| {
+                    std::iter::once(q).chain(near.iter().map(|&i| points[i as usize]))
+                })
                 .collect(),
         );
     }
-    Sides { features, points: around }
+    Sides {
+        features,
+        points: around,
+    }
 }
 
 /// Where a point is seen; as far out as two images.
@@ -174,8 +228,13 @@ impl Sides {
             return refuse("points cannot be tracked in a clip without frames");
         };
         let level = |level: usize| {
-            let features = all.iter().map(|sides| sides.features[level].clone()).collect();
-            let points = all.iter().flat_map(|sides| sides.points[level].iter().copied());
+            let features = all
+                .iter()
+                .map(|sides| sides.features[level].clone())
+                .collect();
+            let points = all
+                .iter()
+                .flat_map(|sides| sides.points[level].iter().copied());
             (Tensor::cat(features, 0), points.collect())
         };
         let (features, points) = (0..first.features.len()).map(level).unzip();
@@ -183,7 +242,8 @@ impl Sides {
     }
 }
 
-/// `side` rows and columns of points that are spread over an image whose depth is `z` `[h][w]`, where that is known.
+/// `side` rows and columns of points that are spread over an image whose depth is `z` `[h][w]`,
+/// where that is known.
 pub fn grid(side: usize, z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<[f32; 3]> {
     let margin = w as f64 / 64.0;
     let along = |n: usize, i: usize| {

@@ -46,7 +46,9 @@ impl TrackState {
         order: FrameOrder,
         time: usize,
     ) -> impl Iterator<Item = &'a Batch> {
-        let grid = self.grids[usize::from(order.backward)].as_ref().filter(|_| time == 0);
+        let grid = self.grids[usize::from(order.backward)]
+            .as_ref()
+            .filter(|_| time == 0);
         grid.into_iter().chain(group.get(&order.frame(time)))
     }
 }
@@ -65,23 +67,38 @@ pub fn track_within(
     let source = Source::new(net, clip, options)?;
     let points = points(&source, queries, frames)?;
     if queries.is_empty() {
-        return Ok(PointTracks { frames, world: Vec::new(), visibility: Vec::new() });
+        return Ok(PointTracks {
+            frames,
+            world: Vec::new(),
+            visibility: Vec::new(),
+        });
     }
     let range = match range {
         Some(range) => range,
         None => source.range(progress)?,
     };
     let groups = grouped(queries, &points, together(&source));
-    let mut known = TrackState { frames, groups: vec![BTreeMap::new(); groups.len()], grids: [None, None] };
+    let mut known = TrackState {
+        frames,
+        groups: vec![BTreeMap::new(); groups.len()],
+        grids: [None, None],
+    };
     let most = options.memory_bytes / 2 / source.frame_bytes().max(1);
     let mut held = Frames::new(most.max(net.config.window));
-    let order = |backward| FrameOrder { frames, backward, window: net.config.window };
+    let order = |backward| FrameOrder {
+        frames,
+        backward,
+        window: net.config.window,
+    };
     let back = options.backward && queries.iter().any(|q| q.frame > 0);
     let total = order(false).starts().count() * groups.len() * (1 + usize::from(back));
     let mut done = 0;
     let mut tracks = PointTracks {
         frames,
-        world: points.iter().flat_map(|&p| std::iter::repeat_n(p, frames)).collect(),
+        world: points
+            .iter()
+            .flat_map(|&p| std::iter::repeat_n(p, frames))
+            .collect(),
         visibility: vec![0.0; queries.len() * frames],
     };
     for backward in [false, true] {
@@ -92,7 +109,16 @@ pub fn track_within(
             done += 1;
             progress.update("points tracked", done, total, "");
         };
-        let walkers = walk(&source, order(backward), range, &mut known, &groups, &mut held, report, progress)?;
+        let walkers = walk(
+            &source,
+            order(backward),
+            range,
+            &mut known,
+            &groups,
+            &mut held,
+            report,
+            progress,
+        )?;
         for walker in walkers.iter().flatten() {
             enter(&mut tracks, walker, queries, order(backward));
         }
@@ -104,10 +130,19 @@ pub fn track_within(
 }
 
 /// Gives `tracks` what a pass found of a point: forward from its frame on, backward before it.
-fn enter(tracks: &mut PointTracks, walker: &TrackedPoint, queries: &[PointQuery], order: FrameOrder) {
+fn enter(
+    tracks: &mut PointTracks,
+    walker: &TrackedPoint,
+    queries: &[PointQuery],
+    order: FrameOrder,
+) {
     let Some(query) = walker.query else { return };
     let begins = queries[query].frame;
-    let frames = if order.backward { 0..begins } else { begins..order.frames };
+    let frames = if order.backward {
+        0..begins
+    } else {
+        begins..order.frames
+    };
     for frame in frames {
         let (to, time) = (query * order.frames + frame, order.time(frame));
         tracks.world[to] = walker.at[time];
@@ -130,14 +165,25 @@ fn check_size(net: &Tapip3d, options: &Tapip3dOptions) -> Result<(), NetError> {
 }
 
 /// Where queries are about the origin.
-fn points(source: &Source<'_>, queries: &[PointQuery], frames: usize) -> Result<Vec<[f32; 3]>, NetError> {
+fn points(
+    source: &Source<'_>,
+    queries: &[PointQuery],
+    frames: usize,
+) -> Result<Vec<[f32; 3]>, NetError> {
     let point = |(index, query): (usize, &PointQuery)| {
         let bad = |reason: String| refuse(format!("point {index} cannot be tracked: {reason}"));
         if query.frame >= frames {
-            return bad(format!("it is asked for in frame {} of {frames}", query.frame));
+            return bad(format!(
+                "it is asked for in frame {} of {frames}",
+                query.frame
+            ));
         }
         let p = [0, 1, 2].map(|axis| (query.world[axis] - source.origin[axis]) as f32);
-        if p.iter().all(|x| x.is_finite()) { Ok(p) } else { bad(format!("it is asked for at {:?}", query.world)) }
+        if p.iter().all(|x| x.is_finite()) {
+            Ok(p)
+        } else {
+            bad(format!("it is asked for at {:?}", query.world))
+        }
     };
     queries.iter().enumerate().map(point).collect()
 }
@@ -146,16 +192,20 @@ fn points(source: &Source<'_>, queries: &[PointQuery], frames: usize) -> Result<
 fn together(source: &Source<'_>) -> usize {
     let (sizes, config) = (&source.net.sizes, &source.net.config);
     let number = source.net.net.encoder.dtype().size();
-    // of the updater: tokens, their norms, queries, keys, values, what was found, and its input; of queries: tokens and their
-    // queries, keys and values
+    // of the updater: tokens, their norms, queries, keys, values, what was found, and its input; of
+    // queries: tokens and their queries, keys and values
     let updater = config.window * (10 * sizes.hidden + 3 * sizes.input);
     let sides = config.levels * (1 + config.neighbours) * 5 * sizes.tokens;
     let most = source.options.memory_bytes / 2 / ((updater + sides) * number).max(1);
-    let grid = source.options.support_grid.saturating_mul(source.options.support_grid);
+    let grid = source
+        .options
+        .support_grid
+        .saturating_mul(source.options.support_grid);
     most.saturating_sub(grid).max(FEWEST)
 }
 
-/// Queries in groups of at most `most`, dealt out one by one, so that each group sees the whole scene.
+/// Queries in groups of at most `most`, dealt out one by one, so that each group sees the whole
+/// scene.
 fn grouped(queries: &[PointQuery], points: &[[f32; 3]], most: usize) -> Vec<Group> {
     let count = queries.len().div_ceil(most);
     let mut groups = vec![Group::new(); count];

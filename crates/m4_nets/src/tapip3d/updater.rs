@@ -1,5 +1,5 @@
-//! Steps of tracks, from what is seen around them: attention over time a track, and among tracks through a few virtual ones
-//! (CoTracker3's `EfficientUpdateFormer`).
+//! Steps of tracks, from what is seen around them: attention over time a track, and among tracks
+//! through a few virtual ones (CoTracker3's `EfficientUpdateFormer`).
 
 use super::config::Sizes;
 use super::encoding::{encoded, width};
@@ -25,8 +25,16 @@ pub struct Updater {
 impl Updater {
     pub fn new(sizes: &Sizes, heads: usize, device: &Device) -> Self {
         let (width, hidden) = (sizes.hidden, sizes.hidden_hidden);
-        let alone = |n: usize| (0..n).map(|_| SelfBlock::new(width, hidden, heads, device)).collect();
-        let cross = |n: usize| (0..n).map(|_| CrossBlock::new(width, width, hidden, heads, device)).collect();
+        let alone = |n: usize| {
+            (0..n)
+                .map(|_| SelfBlock::new(width, hidden, heads, device))
+                .collect()
+        };
+        let cross = |n: usize| {
+            (0..n)
+                .map(|_| CrossBlock::new(width, width, hidden, heads, device))
+                .collect()
+        };
         Self {
             virtual_tracks: zeros([1, sizes.virtual_tracks, 1, width], device),
             input_transform: linear(sizes.input, width, true, device),
@@ -41,13 +49,18 @@ impl Updater {
     /// Of `x` `[frames, tracks, input]`: `[frames, tracks, output]`.
     pub fn forward(&self, x: Tensor<3>) -> Tensor<3> {
         let [frames, tracks, input] = x.dims();
-        let points = self.input_transform.forward(x.reshape([frames * tracks, input]));
+        let points = self
+            .input_transform
+            .forward(x.reshape([frames * tracks, input]));
         let [_, width] = points.dims();
         let points = points.reshape([frames, tracks, width]);
         let [_, more, _, _] = self.virtual_tracks.dims();
         let virtual_tracks = self.virtual_tracks.val().reshape([1, more, width]);
         // [frames, tracks, then virtual tracks, width]
-        let mut tokens = Tensor::cat(vec![points, virtual_tracks.expand([frames, more, width])], 1);
+        let mut tokens = Tensor::cat(
+            vec![points, virtual_tracks.expand([frames, more, width])],
+            1,
+        );
         let every = self.time_blocks.len() / self.space_virtual_blocks.len().max(1);
         let mut space = self
             .space_virtual2point_blocks
@@ -62,7 +75,11 @@ impl Updater {
             let Some(((gather, among, spread), points, virtual_tracks)) =
                 space.next().map(|((gather, among), spread)| {
                     let points = tokens.clone().narrow(1, 0, tracks);
-                    ((gather, among, spread), points, tokens.clone().narrow(1, tracks, more))
+                    (
+                        (gather, among, spread),
+                        points,
+                        tokens.clone().narrow(1, tracks, more),
+                    )
                 })
             else {
                 continue;
@@ -71,7 +88,9 @@ impl Updater {
             let points = spread.forward(points, virtual_tracks.clone());
             tokens = Tensor::cat(vec![points, virtual_tracks], 1);
         }
-        let points = tokens.narrow(1, 0, tracks).reshape([frames * tracks, width]);
+        let points = tokens
+            .narrow(1, 0, tracks)
+            .reshape([frames * tracks, width]);
         let out = self.flow_head.forward(points);
         let [_, to] = out.dims();
         out.reshape([frames, tracks, to])
@@ -105,11 +124,12 @@ struct Meeting {
     aggr2: Attention,
 }
 
-/// How a point's neighbourhood now looks like its neighbourhood when it was asked for: attention between two sets of tokens, each the
-/// feature of a point of the map and the encoding of its offset from the tracked point. Of both sets, each in the light of the
-/// other, a learned token makes one vector; the two are added. What depends on the query alone is computed once a window, and what
-/// the learned tokens ask for is multiplied into the weights before: upstream computes both for every frame and iteration, which is
-/// a quarter more operations.
+/// How a point's neighbourhood now looks like its neighbourhood when it was asked for: attention
+/// between two sets of tokens, each the feature of a point of the map and the encoding of its
+/// offset from the tracked point. Of both sets, each in the light of the other, a learned token
+/// makes one vector; the two are added. What depends on the query alone is computed once a window,
+/// and what the learned tokens ask for is multiplied into the weights before: upstream computes
+/// both for every frame and iteration, which is a quarter more operations.
 ///
 /// The layers of all levels. Named `corr_processor` in the checkpoint.
 #[derive(Module, Debug)]
@@ -167,7 +187,8 @@ impl Correlation {
             in_norm: norm(sizes.features, device),
             posenc_mlps: (0..sizes.sets).map(offsets).collect(),
             transformers: (0..sizes.sets).map(meeting).collect(),
-            feat_transform: (tokens != sizes.features).then(|| linear(sizes.features, tokens, true, device)),
+            feat_transform: (tokens != sizes.features)
+                .then(|| linear(sizes.features, tokens, true, device)),
         }
     }
 
@@ -185,8 +206,8 @@ impl Correlation {
         self.posenc_mlps[level].forward(x).reshape(like.dims())
     }
 
-    /// The query side of `level`: prepared features `[queries, tokens, width]`, and where they are from the query,
-    /// `[queries][tokens]`.
+    /// The query side of `level`: prepared features `[queries, tokens, width]`, and where they are
+    /// from the query, `[queries][tokens]`.
     pub fn query_side(&self, level: usize, features: Tensor<3>, offsets: &[[f32; 3]]) -> QuerySide {
         let meeting = &self.transformers[level];
         let x = self.offsets(level, offsets, &features) + features;
@@ -202,18 +223,31 @@ impl Correlation {
     }
 
     /// How neighbourhoods compare: `side` with those whose prepared features are `features`
-    /// `[frames * queries, neighbours, width]`, and `offsets` `[frames][queries][neighbours]` from the points that are followed.
-    /// `[frames * queries, width]`.
-    pub fn forward(&self, level: usize, side: &QuerySide, features: Tensor<3>, offsets: &[[f32; 3]]) -> Tensor<2> {
+    /// `[frames * queries, neighbours, width]`, and `offsets` `[frames][queries][neighbours]` from
+    /// the points that are followed. `[frames * queries, width]`.
+    pub fn forward(
+        &self,
+        level: usize,
+        side: &QuerySide,
+        features: Tensor<3>,
+        offsets: &[[f32; 3]],
+    ) -> Tensor<2> {
         let meeting = &self.transformers[level];
         let y = self.offsets(level, offsets, &features) + features;
         let [queries, tokens, width] = side.x.dims();
         let frames = y.dims()[0] / queries.max(1);
         let again = |x: &Tensor<4>| {
             let [n, h, m, c] = x.dims();
-            x.clone().unsqueeze_dim::<5>(0).expand([frames, n, h, m, c]).reshape([frames * n, h, m, c])
+            x.clone()
+                .unsqueeze_dim::<5>(0)
+                .expand([frames, n, h, m, c])
+                .reshape([frames * n, h, m, c])
         };
-        let x = side.x.clone().unsqueeze_dim::<4>(0).expand([frames, queries, tokens, width]);
+        let x = side
+            .x
+            .clone()
+            .unsqueeze_dim::<4>(0)
+            .expand([frames, queries, tokens, width]);
         let x = x.reshape([frames * queries, tokens, width]);
         let others = meeting.xblock1_2.context(y.clone());
         let x = meeting.xblock1_2.revised(x, again(&side.q), others);

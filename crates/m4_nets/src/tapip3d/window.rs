@@ -13,7 +13,8 @@ use burn_core::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Points whose neighbourhoods are compared at a time, on the processor (whose caches they should fit) and elsewhere.
+/// Points whose neighbourhoods are compared at a time, on the processor (whose caches they should
+/// fit) and elsewhere.
 const TOGETHER: [usize; 2] = [4, 64];
 
 /// Frames that are worked with together, in the network's space.
@@ -37,11 +38,21 @@ pub struct State {
 impl Window {
     /// Of `frames`; `None` if they have no depth.
     pub fn new(frames: Vec<Arc<Frame>>, config: &Config) -> Option<Self> {
-        let moments = frames.iter().fold(Moments::default(), |sum, f| sum.with(&f.moments));
+        let moments = frames
+            .iter()
+            .fold(Moments::default(), |sum, f| sum.with(&f.moments));
         let space = moments.space(config.norm_scale)?;
-        let cloud = |points: &Vec<[f32; 3]>| Cloud::new(points.iter().map(|&p| space.enter(p)).collect());
-        let clouds = frames.par_iter().map(|frame| frame.points.iter().map(cloud).collect()).collect();
-        Some(Self { frames, space, clouds })
+        let cloud =
+            |points: &Vec<[f32; 3]>| Cloud::new(points.iter().map(|&p| space.enter(p)).collect());
+        let clouds = frames
+            .par_iter()
+            .map(|frame| frame.points.iter().map(cloud).collect())
+            .collect();
+        Some(Self {
+            frames,
+            space,
+            clouds,
+        })
     }
 
     /// The side of the queries, a level each: `sides` in this window's space.
@@ -49,38 +60,55 @@ impl Window {
         let level = |(level, (features, points)): (usize, (&Tensor<3>, &Vec<[f32; 3]>))| {
             let [_, tokens, _] = features.dims();
             let here: Vec<[f32; 3]> = points.iter().map(|&p| self.space.enter(p)).collect();
-            let offsets: Vec<[f32; 3]> =
-                here.chunks_exact(tokens).flat_map(|around| around.iter().map(|&p| minus(p, around[0]))).collect();
-            net.corr_processor.query_side(level, features.clone(), &offsets)
+            let offsets: Vec<[f32; 3]> = here
+                .chunks_exact(tokens)
+                .flat_map(|around| around.iter().map(|&p| minus(p, around[0])))
+                .collect();
+            net.corr_processor
+                .query_side(level, features.clone(), &offsets)
         };
-        sides.features.iter().zip(&sides.points).enumerate().map(level).collect()
+        sides
+            .features
+            .iter()
+            .zip(&sides.points)
+            .enumerate()
+            .map(level)
+            .collect()
     }
 
     /// Numbers of the points of the maps near `at` `[frame][point]`, `[frame][point][neighbour]`.
     pub fn near(&self, level: usize, at: &[[f32; 3]], neighbours: usize) -> Vec<u32> {
         let points = at.len() / self.frames.len();
         let mut near = vec![0; at.len() * neighbours];
-        near.par_chunks_mut(neighbours).zip(at).enumerate().for_each_init(
-            Search::default,
-            |search, (i, (near, &at))| {
+        near.par_chunks_mut(neighbours)
+            .zip(at)
+            .enumerate()
+            .for_each_init(Search::default, |search, (i, (near, &at))| {
                 let cloud = &self.clouds[i / points][level];
                 for (near, found) in near.iter_mut().zip(cloud.nearest(at, neighbours, search)) {
                     *near = found;
                 }
-            },
-        );
+            });
         near
     }
 
     /// How the neighbourhoods of points `at` `[frame][point]` compare with those of their queries,
     /// `[frames, points, levels * width]`.
-    pub fn compared(&self, net: &Net, sides: &[QuerySide], at: &[[f32; 3]], neighbours: usize) -> Tensor<3> {
+    pub fn compared(
+        &self,
+        net: &Net,
+        sides: &[QuerySide],
+        at: &[[f32; 3]],
+        neighbours: usize,
+    ) -> Tensor<3> {
         let frames = self.frames.len();
         let points = at.len() / frames;
         let step = TOGETHER[usize::from(net.time_emb.device() != Device::flex())];
         let some = |first: usize| {
             let n = step.min(points - first);
-            let at: Vec<[f32; 3]> = (0..frames).flat_map(|t| at[t * points + first..][..n].iter().copied()).collect();
+            let at: Vec<[f32; 3]> = (0..frames)
+                .flat_map(|t| at[t * points + first..][..n].iter().copied())
+                .collect();
             let level = |(level, side): (usize, &QuerySide)| {
                 let near = self.near(level, &at, neighbours);
                 let offsets: Vec<[f32; 3]> = near
@@ -93,8 +121,12 @@ impl Window {
                     })
                     .collect();
                 let features = self.frames.iter().zip(near.chunks_exact(n * neighbours));
-                let features = features
-                    .map(|(frame, near)| rows_of(&frame.features[level], near.iter().map(|&j| j as i32).collect()));
+                let features = features.map(|(frame, near)| {
+                    rows_of(
+                        &frame.features[level],
+                        near.iter().map(|&j| j as i32).collect(),
+                    )
+                });
                 let features = Tensor::cat(features.collect(), 0);
                 let [_, c] = features.dims();
                 let features = features.reshape([frames * n, neighbours, c]);
@@ -108,7 +140,8 @@ impl Window {
         Tensor::cat((0..points).step_by(step).map(some).collect(), 1)
     }
 
-    /// What the updater is given, `[frames, points, input]`: visibility, `compared`, steps from the frames beside, and the time.
+    /// What the updater is given, `[frames, points, input]`: visibility, `compared`, steps from the
+    /// frames beside, and the time.
     pub fn input(&self, net: &Net, state: &State, compared: Tensor<3>) -> Tensor<3> {
         let frames = self.frames.len();
         let points = state.at.len() / frames;
@@ -118,15 +151,26 @@ impl Window {
             .map(|k| {
                 let (t, i) = (k / points, k % points);
                 let here = at(t, i);
-                let next = if t + 1 < frames { minus(here, at(t + 1, i)) } else { [0.0; 3] };
-                let last = if t > 0 { minus(here, at(t - 1, i)) } else { [0.0; 3] };
+                let next = if t + 1 < frames {
+                    minus(here, at(t + 1, i))
+                } else {
+                    [0.0; 3]
+                };
+                let last = if t > 0 {
+                    minus(here, at(t - 1, i))
+                } else {
+                    [0.0; 3]
+                };
                 [next[0], next[1], next[2], last[0], last[1], last[2]]
             })
             .collect();
         let steps = encoded(&steps, &device, dtype);
         let [_, c] = steps.dims();
         let logits = tensor(state.logits.clone(), [frames, points, 1], &device).cast(dtype);
-        let all = Tensor::cat(vec![logits, compared, steps.reshape([frames, points, c])], 2);
+        let all = Tensor::cat(
+            vec![logits, compared, steps.reshape([frames, points, c])],
+            2,
+        );
         let [_, _, c] = all.dims();
         all + net.time_emb.val().reshape([frames, 1, c])
     }
@@ -140,7 +184,10 @@ impl Window {
         neighbours: usize,
     ) -> Result<State, NetError> {
         let compared = self.compared(net, sides, &state.at, neighbours);
-        let out = net.point_updater.forward(self.input(net, &state, compared)).narrow(2, 0, 4);
+        let out = net
+            .point_updater
+            .forward(self.input(net, &state, compared))
+            .narrow(2, 0, 4);
         let out = numbers(out)?;
         let points = state.at.iter_mut().zip(&mut state.logits);
         for ((at, logit), d) in points.zip(out.as_chunks::<4>().0) {
@@ -187,14 +234,21 @@ impl Moments {
         Self {
             n,
             mean: [0, 1, 2].map(|i| self.mean[i] + apart[i] * other.n / n),
-            squares: [0, 1, 2].map(|i| self.squares[i] + other.squares[i] + apart[i] * apart[i] * self.n * other.n / n),
+            squares: [0, 1, 2].map(|i| {
+                self.squares[i] + other.squares[i] + apart[i] * apart[i] * self.n * other.n / n
+            }),
         }
     }
 
-    /// The space of these points, by their mean and one standard deviation; `None` if there are none, or all at one place.
+    /// The space of these points, by their mean and one standard deviation; `None` if there are
+    /// none, or all at one place.
     pub fn space(&self, scale: f32) -> Option<Space> {
         let std = (self.squares.iter().sum::<f64>() / (3.0 * self.n)).sqrt() as f32;
-        let space = Space { mean: self.mean.map(|x| x as f32), std, scale };
+        let space = Space {
+            mean: self.mean.map(|x| x as f32),
+            std,
+            scale,
+        };
         let usable = self.n > 0.0 && space.mean.iter().all(|x| x.is_finite());
         (usable && std.is_finite() && std > 0.0).then_some(space)
     }
@@ -226,17 +280,21 @@ mod tests {
 
     #[test]
     fn parts_have_the_moments_of_the_whole() {
-        let points: Vec<[f64; 3]> =
-            (0..97).map(|i| [(i * i % 31) as f64 + 1e4, (i % 7) as f64 * 0.1, -(i as f64)]).collect();
+        let points: Vec<[f64; 3]> = (0..97)
+            .map(|i| [(i * i % 31) as f64 + 1e4, (i % 7) as f64 * 0.1, -(i as f64)])
+            .collect();
         let of = |points: &[[f64; 3]]| {
             let about = points[0];
             let sums = [0, 1, 2].map(|a| points.iter().map(|p| p[a] - about[a]).sum());
             let squares = [0, 1, 2].map(|a| points.iter().map(|p| (p[a] - about[a]).powi(2)).sum());
             Moments::of_sums(points.len(), about, sums, squares)
         };
-        let parts = of(&points[..40]).with(&of(&points[40..])).with(&Moments::default());
+        let parts = of(&points[..40])
+            .with(&of(&points[40..]))
+            .with(&Moments::default());
         let mean = [0, 1, 2].map(|a| points.iter().map(|p| p[a]).sum::<f64>() / 97.0);
-        let variance = |a: usize| points.iter().map(|p| (p[a] - mean[a]).powi(2)).sum::<f64>() / 97.0;
+        let variance =
+            |a: usize| points.iter().map(|p| (p[a] - mean[a]).powi(2)).sum::<f64>() / 97.0;
         let space = parts.space(2.0).unwrap();
         let std = ((variance(0) + variance(1) + variance(2)) / 3.0).sqrt();
         for a in 0..3 {

@@ -1,4 +1,5 @@
-//! The heads: the camera, and scale and offset of depth, from class tokens; the logarithm of depth up to these, from all tokens.
+//! The heads: the camera, and scale and offset of depth, from class tokens; the logarithm of depth
+//! up to these, from all tokens.
 
 use super::image::{CHANNELS, Rays};
 use super::layers::{Block, Mlp};
@@ -35,13 +36,21 @@ impl CameraHead {
         }
     }
 
-    /// Of the tokens of all levels and their positions, `[4 n, c]`, and class tokens `[4, c]`: `[4, 1]`.
-    pub fn forward(&self, features: Tensor<2>, positions: Tensor<2>, classes: Tensor<2>) -> Tensor<2> {
+    /// Of the tokens of all levels and their positions, `[4 n, c]`, and class tokens `[4, c]`:
+    /// `[4, 1]`.
+    pub fn forward(
+        &self,
+        features: Tensor<2>,
+        positions: Tensor<2>,
+        classes: Tensor<2>,
+    ) -> Tensor<2> {
         let classes = self.project_cls.forward(classes);
         let context = self.in_features.forward(features + positions);
         let context = Tensor::cat(vec![context, classes.clone()], 0);
         let position = Some(self.latents_pos.val().squeeze_dim(0));
-        let x = self.aggregate1.attending(classes, context.clone(), position.clone(), None);
+        let x = self
+            .aggregate1
+            .attending(classes, context.clone(), position.clone(), None);
         let x = self.aggregate2.attending(x, context, position, None);
         self.out.forward(x)
     }
@@ -70,13 +79,18 @@ impl GlobalHead {
         }
     }
 
-    /// Of the tokens of each level `[n, c]`, class tokens `[2, c]` and encoded rays `[n, 99]`: `[2, 1]`.
+    /// Of the tokens of each level `[n, c]`, class tokens `[2, c]` and encoded rays `[n, 99]`:
+    /// `[2, 1]`.
     pub fn forward(&self, levels: &[Tensor<2>], classes: Tensor<2>, rays: Tensor<2>) -> Tensor<2> {
         let classes = self.project_cls.forward(classes);
         let rays = self.project_rays.forward(rays);
-        let levels = levels.iter().map(|x| self.in_features.forward(x.clone() + rays.clone()));
+        let levels = levels
+            .iter()
+            .map(|x| self.in_features.forward(x.clone() + rays.clone()));
         let context = Tensor::cat(levels.chain([classes.clone()]).collect(), 0);
-        let x = self.aggregate1.attending(classes, context.clone(), None, None);
+        let x = self
+            .aggregate1
+            .attending(classes, context.clone(), None, None);
         let x = self.aggregate2.attending(x, context, None, None);
         self.out.forward(x)
     }
@@ -91,7 +105,8 @@ const OUT: usize = 16;
 /// Half the side of the last kernel.
 const EDGE: usize = 3;
 
-/// The head. `process_layers` are `process_layers.0` in the checkpoint, whose other levels have none.
+/// The head. `process_layers` are `process_layers.0` in the checkpoint, whose other levels have
+/// none.
 #[derive(Module, Debug)]
 pub struct DepthHead {
     to_latents: Mlp,
@@ -126,10 +141,14 @@ impl DepthHead {
             features_channel_cat: linear(4 * width, width, true, device),
             aggregate_16: Block::new(width, device),
             prompt_camera: Block::new(width, device),
-            rays_layers: (0..LEVELS).map(|i| linear(CHANNELS, at(i), true, device)).collect(),
+            rays_layers: (0..LEVELS)
+                .map(|i| linear(CHANNELS, at(i), true, device))
+                .collect(),
             ups: (0..LEVELS).map(|i| Up::new(at(i), device)).collect(),
             process_layers: (0..BLOCKS).map(|_| Block::new(width, device)).collect(),
-            depth_mlp: (0..LEVELS).map(|i| Mlp::new(at(i + 1), 1, OUT, device)).collect(),
+            depth_mlp: (0..LEVELS)
+                .map(|i| Mlp::new(at(i + 1), 1, OUT, device))
+                .collect(),
             to_depth: last.with_initializer(Initializer::Zeros).init(device),
         }
     }
@@ -139,7 +158,12 @@ impl DepthHead {
         let levels = || scene.levels.to_vec();
         let together = self.features_channel_cat.forward(Tensor::cat(levels(), 1));
         let x = together.clone() + self.to_latents.forward(together);
-        let x = self.aggregate_16.attending(x, Tensor::cat(levels(), 0), None, Some(scene.positions.clone()));
+        let x = self.aggregate_16.attending(
+            x,
+            Tensor::cat(levels(), 0),
+            None,
+            Some(scene.positions.clone()),
+        );
         self.prompt_camera.attending(x, rays, None, None)
     }
 
@@ -170,16 +194,22 @@ impl DepthHead {
             };
             x = up.forward(x + rays, h << level, w << level);
             let out = self.depth_mlp[level].forward(x.clone());
-            outs.push(interpolated(map(out, h << (level + 1), w << (level + 1)), [14 * h, 14 * w], false));
+            outs.push(interpolated(
+                map(out, h << (level + 1), w << (level + 1)),
+                [14 * h, 14 * w],
+                false,
+            ));
         }
         outs.reverse();
         let edges = [(0, 0), (0, 0), (EDGE, EDGE), (EDGE, EDGE)];
-        self.to_depth.forward(Tensor::cat(outs, 1).pad(edges, PadMode::Reflect))
+        self.to_depth
+            .forward(Tensor::cat(outs, 1).pad(edges, PadMode::Reflect))
     }
 }
 
-/// What follows the blocks: a shuffle of channels into pixels and two convolutions, beside a plain enlargement. `up_depthwise` and
-/// `up_conv` are named `up.1` and `up.3` in the checkpoint, `residual` is `residual.0`.
+/// What follows the blocks: a shuffle of channels into pixels and two convolutions, beside a plain
+/// enlargement. `up_depthwise` and `up_conv` are named `up.1` and `up.3` in the checkpoint,
+/// `residual` is `residual.0`.
 #[derive(Module, Debug)]
 pub struct Up {
     convs: [ConvNext; 2],
@@ -201,16 +231,25 @@ impl Up {
     /// Of tokens `[h w, c]`: tokens `[4 h w, c / 2]`.
     pub fn forward(&self, x: Tensor<2>, h: usize, w: usize) -> Tensor<2> {
         let [_, c] = x.dims();
-        let x = self.convs.iter().fold(x.reshape([1, h, w, c]), |x, block| block.forward(x)).permute([0, 3, 1, 2]);
+        let x = self
+            .convs
+            .iter()
+            .fold(x.reshape([1, h, w, c]), |x, block| block.forward(x))
+            .permute([0, 3, 1, 2]);
         let shuffled = relu(self.up_depthwise.forward(pixels_of_channels(x.clone())));
-        tokens(self.up_conv.forward(shuffled) + interpolated(self.residual.forward(x), [2 * h, 2 * w], true))
+        tokens(
+            self.up_conv.forward(shuffled)
+                + interpolated(self.residual.forward(x), [2 * h, 2 * w], true),
+        )
     }
 }
 
 /// Four channels as 2 by 2 pixels: `[1, c, h, w]` as `[1, c / 4, 2 h, 2 w]`.
 fn pixels_of_channels(x: Tensor<4>) -> Tensor<4> {
     let [_, c, h, w] = x.dims();
-    x.reshape([c / 4, 2, 2, h, w]).permute([0, 3, 1, 4, 2]).reshape([1, c / 4, 2 * h, 2 * w])
+    x.reshape([c / 4, 2, 2, h, w])
+        .permute([0, 3, 1, 4, 2])
+        .reshape([1, c / 4, 2 * h, 2 * w])
 }
 
 /// A map `[1, c, h, w]` as tokens `[h w, c]`.

@@ -36,7 +36,11 @@ impl Patches {
         }
         let rows = ((n as f64 / ratio).sqrt() - 0.5).ceil().max(1.0);
         let columns = (rows * ratio - 0.5).ceil().max(1.0);
-        Ok(Self { width, height, grid: [rows as usize, columns as usize] })
+        Ok(Self {
+            width,
+            height,
+            grid: [rows as usize, columns as usize],
+        })
     }
 
     /// Width and height of what the network sees.
@@ -47,7 +51,13 @@ impl Patches {
 
     /// The image `[1, 3, height, width]` of the sides [`Patches::inside`], normalised.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
-        image_tensor(image, self.inside(), Kernels::triangle, [IMAGENET_MEAN, IMAGENET_STD], device)
+        image_tensor(
+            image,
+            self.inside(),
+            Kernels::triangle,
+            [IMAGENET_MEAN, IMAGENET_STD],
+            device,
+        )
     }
 
     /// The camera that four numbers of the camera's head mean, of what the network sees.
@@ -65,7 +75,8 @@ impl Patches {
         }
     }
 
-    /// The same camera in pixels of the image. As published, both axes shrink by the ratio of the heights.
+    /// The same camera in pixels of the image. As published, both axes shrink by the ratio of the
+    /// heights.
     pub fn camera_of_image(self, camera: &Intrinsics) -> Intrinsics {
         let ratio = camera.height as f64 / self.height as f64;
         Intrinsics {
@@ -78,11 +89,16 @@ impl Patches {
         }
     }
 
-    /// Depth `[height][width]` in metres, of the logarithms that the depth's head gives: they are normalised over the whole image.
+    /// Depth `[height][width]` in metres, of the logarithms that the depth's head gives: they are
+    /// normalised over the whole image.
     pub fn depth(self, logarithms: &[f32], log_scale: f64, offset: f64) -> Plane<f32> {
         let n = logarithms.len() as f64;
         let mean = logarithms.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
-        let variance = logarithms.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / n;
+        let variance = logarithms
+            .iter()
+            .map(|&x| (f64::from(x) - mean).powi(2))
+            .sum::<f64>()
+            / n;
         let deviation = (variance + 1e-5).sqrt();
         let scale = log_scale.exp();
         let depth = |&x: &f32| {
@@ -97,7 +113,11 @@ impl Patches {
 
 /// `ln(1 + exp(BETA x)) / BETA`, and `x` where that is the same in 32 bits.
 fn softplus(x: f64) -> f64 {
-    if x * BETA > 20.0 { x } else { (x * BETA).exp().ln_1p() / BETA }
+    if x * BETA > 20.0 {
+        x
+    } else {
+        (x * BETA).exp().ln_1p() / BETA
+    }
 }
 
 /// Frequencies of each of the three components of a ray.
@@ -124,12 +144,19 @@ impl Rays {
             [x / length, y / length, 1.0 / length].map(|v| v as f32)
         };
         let rays: Vec<[f32; 3]> = (0..width * height).map(ray).collect();
-        let planes = (0..3).flat_map(|c| rays.iter().map(move |r| r[c])).collect();
-        Self { planes, width, height }
+        let planes = (0..3)
+            .flat_map(|c| rays.iter().map(move |r| r[c]))
+            .collect();
+        Self {
+            planes,
+            width,
+            height,
+        }
     }
 
-    /// For a map of `h` by `w`: sines of the rays there at frequencies that grow by a factor from 1/2 to half the map's longer side,
-    /// component by component, then the rays; `[h w, 99]` in 32 bits.
+    /// For a map of `h` by `w`: sines of the rays there at frequencies that grow by a factor from
+    /// 1/2 to half the map's longer side, component by component, then the rays; `[h w, 99]` in 32
+    /// bits.
     pub fn encoded(&self, h: usize, w: usize, device: &Device) -> Tensor<2> {
         let columns = Kernels::triangle(self.width, w);
         let rows = Kernels::triangle(self.height, h);
@@ -149,7 +176,8 @@ impl Rays {
         let band = |i: usize| highest.powf(i as f64 / (BANDS - 1) as f64) as f32 * PI;
         let bands = TensorData::new((0..BANDS).map(band).collect(), [1, 1, BANDS]);
         let bands: Tensor<3> = Tensor::from_data(bands, (device, DType::F32));
-        let rays: Tensor<2> = Tensor::from_data(TensorData::new(rays, [n, 3]), (device, DType::F32));
+        let rays: Tensor<2> =
+            Tensor::from_data(TensorData::new(rays, [n, 3]), (device, DType::F32));
         let waves = (rays.clone().unsqueeze_dim::<3>(2) * bands).sin();
         Tensor::cat(vec![waves.reshape([n, 3 * BANDS]), rays], 1)
     }

@@ -32,7 +32,10 @@ impl Mlp {
     }
 
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        in_parts(x, 0, TOKENS, |x| self.proj2.forward(gelu(self.proj1.forward(self.norm.forward(x)))))
+        in_parts(x, 0, TOKENS, |x| {
+            self.proj2
+                .forward(gelu(self.proj1.forward(self.norm.forward(x))))
+        })
     }
 }
 
@@ -52,19 +55,26 @@ struct Adapter {
 impl Adapters {
     /// `n` of them.
     pub fn new(n: usize, from: usize, to: usize, device: &Device) -> Self {
-        let adapter = |_| Adapter { norm: norm(from, device), linear: linear(from, to, true, device) };
-        Self { input_adapters: (0..n).map(adapter).collect() }
+        let adapter = |_| Adapter {
+            norm: norm(from, device),
+            linear: linear(from, to, true, device),
+        };
+        Self {
+            input_adapters: (0..n).map(adapter).collect(),
+        }
     }
 
     /// Each of `levels` by its own.
     pub fn forward(&self, levels: Vec<Tensor<2>>) -> Vec<Tensor<2>> {
         let pairs = self.input_adapters.iter().zip(levels);
-        let adapted = |(adapter, x): (&Adapter, _)| gelu(adapter.linear.forward(adapter.norm.forward(x)));
+        let adapted =
+            |(adapter, x): (&Adapter, _)| gelu(adapter.linear.forward(adapter.norm.forward(x)));
         pairs.map(adapted).collect()
     }
 }
 
-/// A block: attention, then a feed-forward layer, each normalised before, scaled a channel after, and added.
+/// A block: attention, then a feed-forward layer, each normalised before, scaled a channel after,
+/// and added.
 #[derive(Module, Debug)]
 pub struct Block {
     mlp: Mlp,
@@ -92,7 +102,8 @@ impl Block {
         }
     }
 
-    /// `x` in the light of `context`, in one head. `q_position` is added to queries, `k_position` to keys.
+    /// `x` in the light of `context`, in one head. `q_position` is added to queries, `k_position`
+    /// to keys.
     pub fn attending(
         &self,
         x: Tensor<2>,
@@ -105,9 +116,10 @@ impl Block {
         self.added(x, attend_heads(q, k, v).squeeze_dim::<3>(0).squeeze_dim(0))
     }
 
-    /// The heads of each token in the light of each other, `position` added to queries: upstream hands them to its Nystrom attention in
-    /// the place of the sequence, so that no token sees another, and the weights are trained that way. The 128 landmarks
-    /// are more than the heads, with which that attention is the common one.
+    /// The heads of each token in the light of each other, `position` added to queries: upstream
+    /// hands them to its Nystrom attention in the place of the sequence, so that no token sees
+    /// another, and the weights are trained that way. The 128 landmarks are more than the heads,
+    /// with which that attention is the common one.
     pub fn mixing_heads(&self, x: Tensor<2>, position: Tensor<2>) -> Tensor<2> {
         let [n, width] = x.dims();
         let c = width / HEADS;

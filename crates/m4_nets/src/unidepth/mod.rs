@@ -1,9 +1,12 @@
 //! `UniDepth` V2, as first published: metric depth and the camera of one image.
 //!
-//! - Paper: Piccinelli et al., "UniDepthV2: Universal Monocular Metric Depth Estimation Made Simpler", 2025, after "UniDepth", CVPR 2024.
-//!   This is the network before that paper, of mid 2024: revision `1d0d3c52` of its weights, which `MegaSaM` uses (the entry `unidepth-v2-l` of `minute4d weights list`).
-//! - Upstream: lpiccinelli-eth/UniDepth, code and weights CC BY-NC 4.0: the weights are for non-commercial use alone. What is
-//!   computed here was learned from upstream's code; none of that code is here.
+//! - Paper: Piccinelli et al., "UniDepthV2: Universal Monocular Metric Depth Estimation Made
+//!   Simpler", 2025, after "UniDepth", CVPR 2024. This is the network before that paper, of mid
+//!   2024: revision `1d0d3c52` of its weights, which `MegaSaM` uses (the entry `unidepth-v2-l` of
+//!   `minute4d weights list`).
+//! - Upstream: lpiccinelli-eth/UniDepth, code and weights CC BY-NC 4.0: the weights are for
+//!   non-commercial use alone. What is computed here was learned from upstream's code; none of that
+//!   code is here.
 //!
 //! ```text
 //! image --2400 patches of its shape--> DINOv2 --last four blocks--> 4 levels of tokens, class tokens
@@ -13,8 +16,9 @@
 //! depth = softplus((exp(logarithm) + offset) scale)
 //! ```
 //!
-//! Sizes (the backbone's, the number of its blocks, the width of the heads) are read off the checkpoint's tensors. Maps are tokens
-//! `[h w, channels]`, row by row. Confidence, which the checkpoint can also give, is not computed.
+//! Sizes (the backbone's, the number of its blocks, the width of the heads) are read off the
+//! checkpoint's tensors. Maps are tokens `[h w, channels]`, row by row. Confidence, which the
+//! checkpoint can also give, is not computed.
 
 mod heads;
 mod image;
@@ -42,7 +46,8 @@ const NAME: &str = "UniDepth V2";
 const PATCHES: usize = 2400;
 /// Blocks of the backbone that are tapped: the last ones.
 const TAPS: usize = 4;
-/// The width of the heads is a multiple of this: eight heads, three times halved, a quarter of which is shuffled into pixels.
+/// The width of the heads is a multiple of this: eight heads, three times halved, a quarter of
+/// which is shuffled into pixels.
 const WIDTH_MULTIPLE: usize = 32;
 
 /// Depth and camera of an image.
@@ -91,8 +96,14 @@ struct LevelLayer {
 /// Names of the checkpoint that are not those of fields.
 const RENAMES: [(&str, &str); 10] = [
     (r"^module\.", ""),
-    (r"\.input_adapters\.(\d+)\.0\.", ".input_adapters.${1}.norm."),
-    (r"\.input_adapters\.(\d+)\.1\.", ".input_adapters.${1}.linear."),
+    (
+        r"\.input_adapters\.(\d+)\.0\.",
+        ".input_adapters.${1}.norm.",
+    ),
+    (
+        r"\.input_adapters\.(\d+)\.1\.",
+        ".input_adapters.${1}.linear.",
+    ),
     (r"\.process_layers\.0\.", ".process_layers."),
     (r"\.up\.1\.", ".up_depthwise."),
     (r"\.up\.3\.", ".up_conv."),
@@ -149,8 +160,14 @@ impl Net {
         let dtype = decoder.level_embeds.dtype();
         let device = image.device();
         let blocks = self.pixel_encoder.depth();
-        let taps = self.pixel_encoder.taps(image.cast(dtype), std::array::from_fn::<_, TAPS, _>(|i| blocks - TAPS + i));
-        let levels = taps.iter().map(|tap| tap.patches.clone().squeeze_dim(0)).collect();
+        let taps = self.pixel_encoder.taps(
+            image.cast(dtype),
+            std::array::from_fn::<_, TAPS, _>(|i| blocks - TAPS + i),
+        );
+        let levels = taps
+            .iter()
+            .map(|tap| tap.patches.clone().squeeze_dim(0))
+            .collect();
         let levels = decoder.input_adapter.forward(levels);
         let classes = |of: &[usize]| of.iter().map(|&i| taps[i].class.clone()).collect();
 
@@ -172,21 +189,35 @@ impl Net {
             rays.encoded(h, w, &device).cast(dtype),
         );
         let [log_scale, offset] = few(global)?;
-        let logarithms =
-            decoder.depth_layer.forward(&Scene { levels: &levels, positions, rays: &rays, grid: patches.grid });
-        Ok(Heads { camera, log_scale, offset, logarithms })
+        let logarithms = decoder.depth_layer.forward(&Scene {
+            levels: &levels,
+            positions,
+            rays: &rays,
+            grid: patches.grid,
+        });
+        Ok(Heads {
+            camera,
+            log_scale,
+            offset,
+            logarithms,
+        })
     }
 }
 
 impl Decoder {
-    /// Of the tokens of all levels, level by level: `[4 h w, c]`, where in the image and on which level they are.
+    /// Of the tokens of all levels, level by level: `[4 h w, c]`, where in the image and on which
+    /// level they are.
     fn positions(&self, grid: [usize; 2], device: &Device) -> Tensor<2> {
         let [levels, c] = self.level_embeds.dims();
         let n = grid[0] * grid[1];
         let layer = &self.level_embed_layer;
-        let level = layer.contract.forward(gelu(layer.expand.forward(self.level_embeds.val())));
+        let level = layer
+            .contract
+            .forward(gelu(layer.expand.forward(self.level_embeds.val())));
         let level: Tensor<3> = layer.norm.forward(level).reshape([levels, 1, c]);
-        let place = sine_positions(grid, c, device).cast(level.dtype()).reshape([1, n, c]);
+        let place = sine_positions(grid, c, device)
+            .cast(level.dtype())
+            .reshape([1, n, c]);
         (place + level).reshape([levels * n, c])
     }
 }
@@ -194,7 +225,8 @@ impl Decoder {
 /// `N` numbers `[N, 1]` off the device.
 fn few<const N: usize>(x: Tensor<2>) -> Result<[f64; N], NetError> {
     let found = <[f32; N]>::try_from(numbers(x)?);
-    let found = found.map_err(|values| NetError::Device(format!("gave {} numbers for {N}", values.len())))?;
+    let found = found
+        .map_err(|values| NetError::Device(format!("gave {} numbers for {N}", values.len())))?;
     Ok(found.map(f64::from))
 }
 
@@ -213,7 +245,10 @@ impl UniDepth {
         let mut net = Net::new(size, depth, width, device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
         let net = on.fit(net);
-        Ok(Self { net, device: device.clone() })
+        Ok(Self {
+            net,
+            device: device.clone(),
+        })
     }
 
     /// Depth and camera of `image`, by 2400 patches.
@@ -225,14 +260,21 @@ impl UniDepth {
         self.depth_by_patches(image, PATCHES)
     }
 
-    /// The same by about `patches` of 14 by 14 pixels: fewer are faster and coarser. Upstream takes 1400 to 2400.
+    /// The same by about `patches` of 14 by 14 pixels: fewer are faster and coarser. Upstream takes
+    /// 1400 to 2400.
     ///
     /// # Errors
     ///
     /// As [`UniDepth::depth`].
-    pub fn depth_by_patches(&self, image: &RgbImage, patches: usize) -> Result<UniDepthMap, NetError> {
+    pub fn depth_by_patches(
+        &self,
+        image: &RgbImage,
+        patches: usize,
+    ) -> Result<UniDepthMap, NetError> {
         let patches = Patches::of(image.size(), patches)?;
-        let heads = self.net.heads(patches.tensor(image, &self.device), patches)?;
+        let heads = self
+            .net
+            .heads(patches.tensor(image, &self.device), patches)?;
         let logarithms = numbers(heads.logarithms)?;
         Ok(UniDepthMap {
             depth_m: patches.depth(&logarithms, heads.log_scale, heads.offset),
@@ -241,14 +283,17 @@ impl UniDepth {
     }
 }
 
-/// Blocks of the backbone and width of the heads in a checkpoint with tensors of `shapes`; fails unless both can be.
+/// Blocks of the backbone and width of the heads in a checkpoint with tensors of `shapes`; fails
+/// unless both can be.
 fn sizes(shapes: &Shapes, path: &Path) -> Result<(usize, usize), LoadError> {
     let block = |name: &str| -> Option<usize> {
         let rest = name.strip_prefix("pixel_encoder.blocks.")?;
         rest.split('.').next()?.parse().ok()
     };
     let last = shapes.keys().filter_map(|name| block(name)).max();
-    let depth = last.map_or(0, |last| last.saturating_add(1)).min(shapes.len());
+    let depth = last
+        .map_or(0, |last| last.saturating_add(1))
+        .min(shapes.len());
     let other = |missing: &[&str], wrong: &[String]| LoadError::misfit(NAME, path, missing, wrong);
     if depth < TAPS {
         return Err(other(&["pixel_encoder.blocks.3.norm1.weight"], &[]));
@@ -256,9 +301,13 @@ fn sizes(shapes: &Shapes, path: &Path) -> Result<(usize, usize), LoadError> {
     let name = "pixel_decoder.level_embeds";
     match shapes.get(name).map(Vec::as_slice) {
         None => Err(other(&[name], &[])),
-        Some(&[TAPS, width]) if width > 0 && width.is_multiple_of(WIDTH_MULTIPLE) => Ok((depth, width)),
+        Some(&[TAPS, width]) if width > 0 && width.is_multiple_of(WIDTH_MULTIPLE) => {
+            Ok((depth, width))
+        }
         Some(shape) => {
-            let wrong = format!("{name} has the shape {shape:?}, [{TAPS}, a multiple of {WIDTH_MULTIPLE}] is needed");
+            let wrong = format!(
+                "{name} has the shape {shape:?}, [{TAPS}, a multiple of {WIDTH_MULTIPLE}] is needed"
+            );
             Err(other(&[], &[wrong]))
         }
     }

@@ -1,9 +1,12 @@
-//! Parts of the network against the authors' module (`oracles/unidepth_v2.py`), with synthetic weights: a small backbone of five blocks and heads of 128 channels.
+//! Parts of the network against the authors' module (`oracles/unidepth_v2.py`), with synthetic
+//! weights: a small backbone of five blocks and heads of 128 channels.
 
 use super::*;
 use crate::cpu;
 use crate::device::halved;
-use crate::fixture::{Fixture, assert_near, assert_same_tensors, every, fill_by_formula, relative_error};
+use crate::fixture::{
+    Fixture, assert_near, assert_same_tensors, every, fill_by_formula, relative_error,
+};
 use m4_testkit::FormulaWeights;
 
 const FORMULA: &str = include_str!("../../../../fixtures/unidepth_v2/formula.keys.txt");
@@ -13,7 +16,12 @@ const LIMIT: f64 = 2e-5;
 
 fn network() -> Net {
     let mut net = Net::new(BackboneSize::Small, 5, 128, &cpu());
-    fill_by_formula(&mut net, &FormulaWeights::of_keys(FORMULA), &RENAMES, unneeded);
+    fill_by_formula(
+        &mut net,
+        &FormulaWeights::of_keys(FORMULA),
+        &RENAMES,
+        unneeded,
+    );
     net
 }
 
@@ -31,23 +39,46 @@ fn parts_agree_with_the_module() {
     let patches = Patches::of(image.size(), 48).unwrap();
     assert_eq!(patches.grid, [6, 9]);
     let input = patches.tensor(&image, &cpu());
-    let channels = (0..3).map(|c| thinned(input.clone().slice([0..1, c..c + 1]).reshape([84, 126]), 4, 4));
-    assert_near(Tensor::stack::<3>(channels.collect(), 0), &fixture, "input_strided", LIMIT);
+    let channels = (0..3).map(|c| {
+        thinned(
+            input.clone().slice([0..1, c..c + 1]).reshape([84, 126]),
+            4,
+            4,
+        )
+    });
+    assert_near(
+        Tensor::stack::<3>(channels.collect(), 0),
+        &fixture,
+        "input_strided",
+        LIMIT,
+    );
 
     let taps = net.pixel_encoder.taps(input.clone(), [1, 2, 3, 4]);
     let last: Tensor<2> = taps[3].patches.clone().squeeze_dim(0);
     assert_near(every(last, 4), &fixture, "feature_last_strided", LIMIT);
 
     let decoder = &net.pixel_decoder;
-    let levels = taps.iter().map(|tap| tap.patches.clone().squeeze_dim(0)).collect();
+    let levels = taps
+        .iter()
+        .map(|tap| tap.patches.clone().squeeze_dim(0))
+        .collect();
     let levels = decoder.input_adapter.forward(levels);
     let heads = net.heads(input, patches).unwrap();
     let rays = Rays::of(&heads.camera);
-    let scene =
-        Scene { levels: &levels, positions: decoder.positions(patches.grid, &cpu()), rays: &rays, grid: patches.grid };
+    let scene = Scene {
+        levels: &levels,
+        positions: decoder.positions(patches.grid, &cpu()),
+        rays: &rays,
+        grid: patches.grid,
+    };
     let first = decoder.depth_layer.encoded_rays(&scene, 0);
     let latents = decoder.depth_layer.latents(&scene, first.clone());
-    assert_near(every(latents.clone(), 4), &fixture, "prompt_camera_strided", LIMIT);
+    assert_near(
+        every(latents.clone(), 4),
+        &fixture,
+        "prompt_camera_strided",
+        LIMIT,
+    );
     let mixed = decoder.depth_layer.processed(latents, &first);
     assert_near(every(mixed, 4), &fixture, "processed_strided", LIMIT);
 
@@ -59,8 +90,14 @@ fn parts_agree_with_the_module() {
     assert!(error(heads.offset, global[1]) < 1e-5, "{heads:?}");
     let camera = patches.camera_of_image(&heads.camera);
     let (want, _) = fixture.floats("intrinsics");
-    for (got, want) in [camera.fx, camera.fy, camera.cx, camera.cy].into_iter().zip(want) {
-        assert!(error(got, want) < 1e-5, "{got} px where {want} were expected");
+    for (got, want) in [camera.fx, camera.fy, camera.cx, camera.cy]
+        .into_iter()
+        .zip(want)
+    {
+        assert!(
+            error(got, want) < 1e-5,
+            "{got} px where {want} were expected"
+        );
     }
 }
 

@@ -25,22 +25,29 @@ pub fn loaded<N>(weights: &FormulaWeights, load: impl Fn(&Path) -> Result<N, Loa
 
 /// An image from a PNG file of the fixtures.
 pub fn png(name: &str) -> RgbImage {
-    let image = image::open(repository().join("fixtures").join(name)).unwrap().to_rgb8();
+    let image = image::open(repository().join("fixtures").join(name))
+        .unwrap()
+        .to_rgb8();
     let (w, h) = (image.width() as usize, image.height() as usize);
     RgbImage::from_vec(w, h, image.pixels().map(|p| p.0).collect()).unwrap()
 }
 
-/// The real weights `name/file` in the folder `MINUTE4D_WEIGHTS` or the user's cache; `None`, and a word on it, without.
+/// The real weights `name/file` in the folder `MINUTE4D_WEIGHTS` or the user's cache; `None`, and a
+/// word on it, without.
 #[track_caller]
 pub fn real_weights(name: &str, file: &str) -> Option<PathBuf> {
     let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
-    let cache = cache.or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
+    let cache =
+        cache.or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
     let folder = std::env::var_os("MINUTE4D_WEIGHTS").map(PathBuf::from);
     let folder = folder.or_else(|| cache.map(|c| c.join("minute4d/weights")))?;
     let path = folder.join(name).join(file);
     if path.is_file() {
         return Some(path);
     }
-    skip(Need::Weights, &format!("the published {name}/{file} is not here"));
+    skip(
+        Need::Weights,
+        &format!("the published {name}/{file} is not here"),
+    );
     None
 }

@@ -4,7 +4,10 @@ use crate::{
     backend::{Backend, BackendError, ColourSums, StepSettings, StepView, pixels},
     colour_degree::move_phases,
     colour_fit::add_seen,
-    density::{DensityRound, DensityStats, GradientSums, ScoreInput, ScoreSettings, Scores, apply, rearrange, score},
+    density::{
+        DensityRound, DensityStats, GradientSums, ScoreInput, ScoreSettings, Scores, apply,
+        rearrange, score,
+    },
     frames::FrameStore,
     metrics::psnr,
     refine::{expose, exposure_gradient, pull_back},
@@ -44,7 +47,8 @@ pub struct CpuBackend<'a> {
 }
 
 impl<'a> CpuBackend<'a> {
-    /// Without splats. Of the frames of `capture` at most `cache_mb` megabytes are kept in the form that the loss needs.
+    /// Without splats. Of the frames of `capture` at most `cache_mb` megabytes are kept in the form
+    /// that the loss needs.
     pub fn new(capture: &'a Capture, cache_mb: usize, level: SimdLevel) -> Self {
         let nothing = nothing();
         Self {
@@ -71,7 +75,14 @@ impl<'a> CpuBackend<'a> {
         let exposure = self.exposures.get(step.frame);
         let rgb = exposed(exposure, drawn, &mut self.exposed);
         let out = &mut self.frame_gradient;
-        let terms = loss(self.level, target, rgb, settings.lambda_ssim, &mut self.scratch, out);
+        let terms = loss(
+            self.level,
+            target,
+            rgb,
+            settings.lambda_ssim,
+            &mut self.scratch,
+            out,
+        );
         let stats = &mut self.stats;
         stats.frames += 1;
         stats.l1 += terms.l1;
@@ -82,7 +93,9 @@ impl<'a> CpuBackend<'a> {
         };
         if let Some(exposure) = exposure {
             if step.exposure {
-                stats.exposures.push((step.frame, exposure_gradient(drawn, out)));
+                stats
+                    .exposures
+                    .push((step.frame, exposure_gradient(drawn, out)));
             }
             pull_back(exposure, out);
         }
@@ -117,11 +130,18 @@ impl<'a> CpuBackend<'a> {
 
     /// Rows that are never stepped, all of them static.
     fn fixed(&self) -> Vec<usize> {
-        (0..self.splats.n_static()).filter(|&row| self.adam.step[row] == FIXED).collect()
+        (0..self.splats.n_static())
+            .filter(|&row| self.adam.step[row] == FIXED)
+            .collect()
     }
 
     fn backward(&mut self, camera: bool) {
-        self.renderer.backward(&self.splats, &self.frame_gradient, camera, &mut self.gradients);
+        self.renderer.backward(
+            &self.splats,
+            &self.frame_gradient,
+            camera,
+            &mut self.gradients,
+        );
         for row in self.fixed() {
             self.gradients.touched[row] = 0;
         }
@@ -153,12 +173,20 @@ impl<'a> CpuBackend<'a> {
 }
 
 fn nothing() -> Splats {
-    let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
     Splats::zeros(layout, 0, 0)
 }
 
 /// What is compared with a frame.
-fn exposed<'a>(exposure: Option<&Exposure>, drawn: &'a [Vec<f32>; 3], out: &'a mut [Vec<f32>; 3]) -> &'a [Vec<f32>; 3] {
+fn exposed<'a>(
+    exposure: Option<&Exposure>,
+    drawn: &'a [Vec<f32>; 3],
+    out: &'a mut [Vec<f32>; 3],
+) -> &'a [Vec<f32>; 3] {
     match exposure {
         Some(exposure) => {
             expose(exposure, drawn, out);
@@ -224,7 +252,11 @@ impl Backend for CpuBackend<'_> {
         rearrange(&mut self.adam, &order).map_err(failed)
     }
 
-    fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError> {
+    fn step(
+        &mut self,
+        views: &[StepView<'_>],
+        settings: &StepSettings<'_>,
+    ) -> Result<(), BackendError> {
         for (k, view) in views.iter().enumerate() {
             if k == 1 {
                 // the first frame starts the sum; what comes back is written over
@@ -241,12 +273,29 @@ impl Backend for CpuBackend<'_> {
             _ => &mut self.sum,
         };
         if settings.cover > 0.0 {
-            cover::cpu::add(&self.splats, gradients, settings.cover / pixels(views[0].view));
+            cover::cpu::add(
+                &self.splats,
+                gradients,
+                settings.cover / pixels(views[0].view),
+            );
         }
-        adam_step(self.level, &mut self.splats, gradients, &mut self.adam, &settings.adam, settings.rates);
+        adam_step(
+            self.level,
+            &mut self.splats,
+            gradients,
+            &mut self.adam,
+            &settings.adam,
+            settings.rates,
+        );
         if !gradients.nodes.is_empty() {
             let windows = self.splats.windows_mut();
-            node_step(windows, &gradients.nodes, &mut self.adam.nodes, &settings.adam, settings.nodes);
+            node_step(
+                windows,
+                &gradients.nodes,
+                &mut self.adam.nodes,
+                &settings.adam,
+                settings.nodes,
+            );
         }
         self.stats.steps += 1;
         self.stats.touched += gradients.touched.iter().filter(|&&v| v != 0).count() as f64;
@@ -277,7 +326,10 @@ impl Backend for CpuBackend<'_> {
         let mut stats = DensityStats::default();
         if !plan.rows.is_empty() && !plan.changes_nothing() {
             let (config, splats, adam) = (round.rules.config, &mut self.splats, &mut self.adam);
-            let (n_static, middles) = (splats.n_static(), splats.column(Column::TimeMean, 0).to_vec());
+            let (n_static, middles) = (
+                splats.n_static(),
+                splats.column(Column::TimeMean, 0).to_vec(),
+            );
             apply(config, &plan, splats, adam, round.seed, round.iteration).map_err(failed)?;
             move_phases(splats, &middles, n_static, &plan.rows, round.period);
             (stats.cloned, stats.split, stats.pruned) = (plan.cloned, plan.split, plan.pruned);
@@ -304,7 +356,9 @@ impl Backend for CpuBackend<'_> {
             self.residual(*frame, view);
             self.add_colours(&mut sums.residual);
             if with_weight {
-                self.frame_gradient.iter_mut().for_each(|plane| plane.fill(1.0));
+                self.frame_gradient
+                    .iter_mut()
+                    .for_each(|plane| plane.fill(1.0));
                 self.add_colours(&mut sums.weight);
             }
         }
@@ -315,9 +369,9 @@ impl Backend for CpuBackend<'_> {
 /// Rows a task.
 const CHUNK_ROWS: usize = 8192;
 
-/// Adds the rows that `other` touches to `sum`: gradients of the same splats, of two frames. What was touched by either
-/// is touched then, nodes of either have gradients; sums of camera and background stay those of `sum`.
-/// `n_static` rows lack the columns of time.
+/// Adds the rows that `other` touches to `sum`: gradients of the same splats, of two frames. What
+/// was touched by either is touched then, nodes of either have gradients; sums of camera and
+/// background stay those of `sum`. `n_static` rows lack the columns of time.
 ///
 /// Each value is one addition, so the order of the calls alone decides the bits.
 pub(crate) fn add_touched(sum: &mut Gradients, other: &Gradients, n_static: usize) {
@@ -325,8 +379,12 @@ pub(crate) fn add_touched(sum: &mut Gradients, other: &Gradients, n_static: usiz
     let (old, new) = (&sum.touched, &other.touched);
     for (column, g) in sum.columns.iter_mut().zip(&other.columns) {
         let first = if column.len() == n { 0 } else { n_static };
-        let flags = old[first..].par_chunks(CHUNK_ROWS).zip(new[first..].par_chunks(CHUNK_ROWS));
-        let values = column.par_chunks_mut(CHUNK_ROWS).zip(g.par_chunks(CHUNK_ROWS));
+        let flags = old[first..]
+            .par_chunks(CHUNK_ROWS)
+            .zip(new[first..].par_chunks(CHUNK_ROWS));
+        let values = column
+            .par_chunks_mut(CHUNK_ROWS)
+            .zip(g.par_chunks(CHUNK_ROWS));
         values.zip(flags).for_each(|((column, g), (old, new))| {
             // of a long video most chunks lie in other frames
             if new.iter().all(|&t| t == 0) {
@@ -344,9 +402,17 @@ pub(crate) fn add_touched(sum: &mut Gradients, other: &Gradients, n_static: usiz
         *a |= b;
     }
     for more in &other.nodes {
-        match sum.nodes.iter_mut().find(|of| (of.window, of.key) == (more.window, more.key)) {
+        match sum
+            .nodes
+            .iter_mut()
+            .find(|of| (of.window, of.key) == (more.window, more.key))
+        {
             Some(sum) => {
-                let numbers = sum.nodes.as_flattened_mut().iter_mut().zip(more.nodes.as_flattened());
+                let numbers = sum
+                    .nodes
+                    .as_flattened_mut()
+                    .iter_mut()
+                    .zip(more.nodes.as_flattened());
                 numbers.for_each(|(a, b)| *a += b);
             }
             None => sum.nodes.push(more.clone()),
@@ -377,9 +443,16 @@ mod tests {
         add_touched(&mut sum, &again, 2);
         assert_eq!(sum.columns[1], [3.75, 8.0]);
         assert_eq!(sum.touched, [1; 4]);
-        let of = |window: usize, key: usize, g: f32| NodeGradients { window, key, nodes: vec![[g; 6]; 2] };
+        let of = |window: usize, key: usize, g: f32| NodeGradients {
+            window,
+            key,
+            nodes: vec![[g; 6]; 2],
+        };
         sum.nodes = vec![of(0, 3, 1.0)];
-        let more = Gradients { nodes: vec![of(0, 3, 0.5), of(1, 0, 2.0)], ..again };
+        let more = Gradients {
+            nodes: vec![of(0, 3, 0.5), of(1, 0, 2.0)],
+            ..again
+        };
         add_touched(&mut sum, &more, 2);
         assert_eq!(sum.nodes, [of(0, 3, 1.5), of(1, 0, 2.0)]);
     }

@@ -1,8 +1,9 @@
 //! Where training steps are taken: on the CPU, or on a GPU (feature `gpu`).
 //!
-//! A [`Backend`] holds splats, the optimiser's state and the frames, and takes whole steps; the trainer picks frames and keeps
-//! schedules, corrections of cameras and exposures, and checkpoints. Steps may return before they are done: their statistics are
-//! read now and then ([`Backend::stats`]). Both backends compute the same definitions; last digits differ.
+//! A [`Backend`] holds splats, the optimiser's state and the frames, and takes whole steps; the
+//! trainer picks frames and keeps schedules, corrections of cameras and exposures, and checkpoints.
+//! Steps may return before they are done: their statistics are read now and then
+//! ([`Backend::stats`]). Both backends compute the same definitions; last digits differ.
 
 mod cpu;
 #[cfg(feature = "gpu")]
@@ -36,15 +37,20 @@ pub struct StepView<'a> {
     pub view: &'a View,
     /// Also take the gradient of the camera, for [`StepStats::cameras`].
     pub camera: bool,
-    /// Also take the gradient of the frame's [exposure](Backend::set_exposures), for [`StepStats::exposures`]; nothing for a
-    /// frame without.
+    /// Also take the gradient of the frame's [exposure](Backend::set_exposures), for
+    /// [`StepStats::exposures`]; nothing for a frame without.
     pub exposure: bool,
 }
 
 impl<'a> StepView<'a> {
     /// The gradient of the splats alone.
     pub fn new(frame: usize, view: &'a View) -> Self {
-        Self { frame, view, camera: false, exposure: false }
+        Self {
+            frame,
+            view,
+            camera: false,
+            exposure: false,
+        }
     }
 }
 
@@ -71,8 +77,9 @@ pub struct StepSettings<'a> {
     pub psnr: bool,
 }
 
-/// Sums over the pixels of some frames, for the least-squares fit of colours: derivatives with respect to the constant
-/// coefficient of each colour, `[channel][n]`, 0 where a splat was not seen.
+/// Sums over the pixels of some frames, for the least-squares fit of colours: derivatives with
+/// respect to the constant coefficient of each colour, `[channel][n]`, 0 where a splat was not
+/// seen.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColourSums {
     /// Of blending weight times image minus target.
@@ -83,57 +90,65 @@ pub struct ColourSums {
 
 /// Holds splats and takes training steps.
 ///
-/// Every method may fail with what the device says; after that only [`upload`](Self::upload) may be called. `n` rows are those of
-/// the splats uploaded last; views have the size of the frames.
+/// Every method may fail with what the device says; after that only [`upload`](Self::upload) may be
+/// called. `n` rows are those of the splats uploaded last; views have the size of the frames.
 pub trait Backend: std::fmt::Debug {
     /// What it is called.
     fn name(&self) -> String;
 
-    /// True if steps are done when they return, so that reading statistics and splats costs no waiting.
+    /// True if steps are done when they return, so that reading statistics and splats costs no
+    /// waiting.
     fn is_synchronous(&self) -> bool;
 
     /// Takes all frames, of one size: once, before the first splats. Fails with [`BackendError`].
     fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), BackendError>;
 
-    /// Takes the correction of every frame's colours: from here on `matrix rgb + offset` is compared with the frame.
-    /// Without a call nothing is corrected. Fails with [`BackendError`].
+    /// Takes the correction of every frame's colours: from here on `matrix rgb + offset` is
+    /// compared with the frame. Without a call nothing is corrected. Fails with [`BackendError`].
     fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), BackendError>;
 
     /// Takes splats and the optimiser's state. Fails with [`BackendError`].
     fn upload(&mut self, splats: &Splats, adam: AdamState) -> Result<(), BackendError>;
 
-    /// Gives splats and the optimiser's state back, as they are after all steps; an [`upload`](Self::upload) comes before the next step.
-    /// Fails with [`BackendError`].
+    /// Gives splats and the optimiser's state back, as they are after all steps; an
+    /// [`upload`](Self::upload) comes before the next step. Fails with [`BackendError`].
     fn take(&mut self) -> Result<(Splats, AdamState), BackendError>;
 
     /// A copy of the splats as they are after all steps. Fails with [`BackendError`].
     fn splats(&mut self) -> Result<Splats, BackendError>;
 
-    /// Takes other values for the same rows; the optimiser's state stays. Fails with [`BackendError`].
+    /// Takes other values for the same rows; the optimiser's state stays. Fails with
+    /// [`BackendError`].
     fn set_splats(&mut self, splats: &Splats) -> Result<(), BackendError>;
 
-    /// Lays splats and the optimiser's state out as [`m4_kernels::morton_order`] does, or nearly so.
-    /// Fails with [`BackendError`].
+    /// Lays splats and the optimiser's state out as [`m4_kernels::morton_order`] does, or nearly
+    /// so. Fails with [`BackendError`].
     fn reorder(&mut self) -> Result<(), BackendError>;
 
-    /// Renders and compares each frame, and moves every splat that was seen along the sum of the gradients. May return
-    /// before it is done. Fails with [`BackendError`].
-    fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError>;
+    /// Renders and compares each frame, and moves every splat that was seen along the sum of the
+    /// gradients. May return before it is done. Fails with [`BackendError`].
+    fn step(
+        &mut self,
+        views: &[StepView<'_>],
+        settings: &StepSettings<'_>,
+    ) -> Result<(), BackendError>;
 
-    /// Waits for all steps and returns their statistics since the last call. Fails with [`BackendError`].
+    /// Waits for all steps and returns their statistics since the last call. Fails with
+    /// [`BackendError`].
     fn stats(&mut self) -> Result<StepStats, BackendError>;
 
-    /// Collects the gradients with respect to the centres of splats in the image from here on, which take the place of the scores where
-    /// [`crate::DensityConfig::loss_guided`] is off.
+    /// Collects the gradients with respect to the centres of splats in the image from here on,
+    /// which take the place of the scores where [`crate::DensityConfig::loss_guided`] is off.
     fn collect_image_gradients(&mut self);
 
-    /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it; scores of
-    /// [fixed](m4_kernels::adam::FIXED) splats are 0. Where nothing would be left, nothing changes. Fails with [`BackendError`].
+    /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it;
+    /// scores of [fixed](m4_kernels::adam::FIXED) splats are 0. Where nothing would be left,
+    /// nothing changes. Fails with [`BackendError`].
     fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensityStats, BackendError>;
 
-    /// Sums for the fit of colours over some frames; nothing for [fixed](m4_kernels::adam::FIXED) splats. Ends where `stop`, which is asked
-    /// before each frame, says so: the sums are then of no use.
-    /// Fails with [`BackendError`].
+    /// Sums for the fit of colours over some frames; nothing for [fixed](m4_kernels::adam::FIXED)
+    /// splats. Ends where `stop`, which is asked before each frame, says so: the sums are then of
+    /// no use. Fails with [`BackendError`].
     fn colour_sums(
         &mut self,
         views: &[(usize, View)],

@@ -1,4 +1,5 @@
-//! What differs between trainings, each with its source; constants stand beside the code that uses them.
+//! What differs between trainings, each with its source; constants stand beside the code that uses
+//! them.
 
 use crate::{ColourDegree, TrainError};
 pub use density::{CloneOpacity, DensityConfig, ErrorRange, PruneRule, SplitPlacement, SplitSize};
@@ -12,28 +13,30 @@ mod density;
 pub struct TrainConfig {
     /// Steps of [`batch`](Self::batch) frames each. Paper: 5000 (DyCheck, DAVIS), 1500 (NVIDIA).
     pub iterations: usize,
-    /// Frames per step; their gradients are added up before splats move, and rates are multiplied by the root of their
-    /// number: with more frames a step is surer, and there are fewer of them (the square-root rule for Adam, Malladi et
-    /// al. 2022). Reference: 1.
+    /// Frames per step; their gradients are added up before splats move, and rates are multiplied
+    /// by the root of their number: with more frames a step is surer, and there are fewer of them
+    /// (the square-root rule for Adam, Malladi et al. 2022). Reference: 1.
     pub batch: usize,
     /// Key of every random draw.
     pub seed: u64,
     /// Highest degrees of the harmonics of colours, which rise during the run.
     pub colour_degree: ColourDegree,
-    /// Rounds of the least-squares fit of colours after the last step; 0 for no fit. 1: more of them fit what is half
-    /// hidden too closely (`docs/decisions/0005`). A frame of a round costs about as much as a step, in the first round
-    /// half as much again.
+    /// Rounds of the least-squares fit of colours after the last step; 0 for no fit. 1: more of
+    /// them fit what is half hidden too closely (`docs/decisions/0005`). A frame of a round costs
+    /// about as much as a step, in the first round half as much again.
     pub colour_fit_rounds: usize,
-    /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value); 0.4 here (measured: +0.003
-    /// SSIM on held-out views at no loss of PSNR).
+    /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value); 0.4 here
+    /// (measured: +0.003 SSIM on held-out views at no loss of PSNR).
     pub lambda_ssim: f32,
-    /// In a clip with one centre of projection: weight of the growth of dynamic splats, [`m4_kernels::cover`], as the least
-    /// difference in colour, 0..1, that is assumed between them and what is behind. 0 for none. 0.015 (measured: docs/geometry.md,
-    /// "Layers without parallax").
+    /// In a clip with one centre of projection: weight of the growth of dynamic splats,
+    /// [`m4_kernels::cover`], as the least difference in colour, 0..1, that is assumed between them
+    /// and what is behind. 0 for none. 0.015 (measured: docs/geometry.md, "Layers without
+    /// parallax").
     pub cover: f32,
     /// How fast parameters move.
     pub lr: RateConfig,
-    /// The optimiser (docs/spec/optimiser.md 3). The bias of the moments is corrected by each splat's own number of steps, 0 for new ones.
+    /// The optimiser (docs/spec/optimiser.md 3). The bias of the moments is corrected by each
+    /// splat's own number of steps, 0 for new ones.
     pub adam: AdamConfig,
     /// Adding and removing splats.
     pub density: DensityConfig,
@@ -41,20 +44,20 @@ pub struct TrainConfig {
     pub refine: RefineConfig,
     /// Opacity-compensated 2D filter (docs/spec/optimiser.md 1.6); false in the reference.
     pub mip: bool,
-    /// Colour behind everything. `None`: the mean colour of pixels without a surface (depth 0) where at
-    /// least one in a thousand has none, else black (reference: black).
+    /// Colour behind everything. `None`: the mean colour of pixels without a surface (depth 0)
+    /// where at least one in a thousand has none, else black (reference: black).
     pub background: Option<[f32; 3]>,
     /// Iterations between two checks that every parameter is finite; the state of the last check is
     /// kept in case one is not.
     pub guard_every: usize,
-    /// On a GPU: seconds between two copies of its splats that are kept, at checks; 0 for one at every check. 2: of a run
-    /// that fails no more than that is lost, and splats are rarely copied.
+    /// On a GPU: seconds between two copies of its splats that are kept, at checks; 0 for one at
+    /// every check. 2: of a run that fails no more than that is lost, and splats are rarely copied.
     pub keep_every_s: f32,
     /// Iterations between two [`crate::MetricsEvent`]s.
     pub metrics_every: usize,
-    /// Memory for frames prepared for the loss, MB; frames beyond it are prepared anew at each use, which
-    /// costs a millisecond of one core at 480x360. 160: with 100 frames of that size and 100,000 splats training
-    /// stays below 500 MB.
+    /// Memory for frames prepared for the loss, MB; frames beyond it are prepared anew at each use,
+    /// which costs a millisecond of one core at 480x360. 160: with 100 frames of that size and
+    /// 100,000 splats training stays below 500 MB.
     pub target_cache_mb: usize,
 }
 
@@ -65,8 +68,9 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// Our choices (docs/spec/optimiser.md 9, D1): static splats without time, velocities, dense first splats, colours by least squares
-    /// at the end. Density control is off: it costs 6 % of the time and gains nothing (docs/decisions/0003-density-control.md).
+    /// Our choices (docs/spec/optimiser.md 9, D1): static splats without time, velocities, dense
+    /// first splats, colours by least squares at the end. Density control is off: it costs 6 % of
+    /// the time and gains nothing (docs/decisions/0003-density-control.md).
     pub fn fast() -> Self {
         Self {
             iterations: 2000,
@@ -78,7 +82,10 @@ impl TrainConfig {
             cover: 0.015,
             lr: RateConfig::default(),
             adam: AdamConfig::default(),
-            density: DensityConfig { enabled: false, ..DensityConfig::fast() },
+            density: DensityConfig {
+                enabled: false,
+                ..DensityConfig::fast()
+            },
             refine: RefineConfig::default(),
             mip: true,
             background: None,
@@ -89,8 +96,9 @@ impl TrainConfig {
         }
     }
 
-    /// The paper's letter, read as Instant4D (docs/spec/optimiser.md 3): photometric loss alone, frozen velocities,
-    /// dense Adam, full size; density control by rank ([`DensityConfig::faithful`]).
+    /// The paper's letter, read as Instant4D (docs/spec/optimiser.md 3): photometric loss alone,
+    /// frozen velocities, dense Adam, full size; density control by rank
+    /// ([`DensityConfig::faithful`]).
     pub fn faithful() -> Self {
         Self {
             iterations: 5000,
@@ -98,14 +106,19 @@ impl TrainConfig {
             lambda_ssim: 0.2,
             cover: 0.0,
             lr: RateConfig::faithful(),
-            adam: AdamConfig { sparse: false, beta2_dynamic: 0.999, ..AdamConfig::default() },
+            adam: AdamConfig {
+                sparse: false,
+                beta2_dynamic: 0.999,
+                ..AdamConfig::default()
+            },
             density: DensityConfig::faithful(),
             mip: false,
             ..Self::fast()
         }
     }
 
-    /// Refuses values that no run can use. Fails with [`TrainError::BadSetting`] naming the first field out of range.
+    /// Refuses values that no run can use. Fails with [`TrainError::BadSetting`] naming the first
+    /// field out of range.
     pub fn check(&self) -> Result<(), TrainError> {
         let (density, lr, refine) = (&self.density, &self.lr, &self.refine);
         let shares = [
@@ -145,7 +158,11 @@ impl TrainConfig {
             }
         }
         if !(density.max_growth.is_finite() && density.max_growth > 0.0) {
-            return Err(bad("density.max_growth", density.max_growth, "a number above 0"));
+            return Err(bad(
+                "density.max_growth",
+                density.max_growth,
+                "a number above 0",
+            ));
         }
         let counts = [
             ("guard_every", self.guard_every),
@@ -160,46 +177,65 @@ impl TrainConfig {
             }
         }
         let degree = self.colour_degree;
-        for (field, value, most) in [("colour_degree.space", degree.space, 3), ("colour_degree.time", degree.time, 2)] {
+        for (field, value, most) in [
+            ("colour_degree.space", degree.space, 3),
+            ("colour_degree.time", degree.time, 2),
+        ] {
             if value > most {
-                return Err(bad(field, value, if most == 3 { "0 to 3" } else { "0 to 2" }));
+                return Err(bad(
+                    field,
+                    value,
+                    if most == 3 { "0 to 3" } else { "0 to 2" },
+                ));
             }
         }
         if u32::try_from(self.iterations).is_err() {
-            return Err(bad("iterations", self.iterations, "at most 4294967295, which a checkpoint can hold"));
+            return Err(bad(
+                "iterations",
+                self.iterations,
+                "at most 4294967295, which a checkpoint can hold",
+            ));
         }
         Ok(())
     }
 }
 
 fn bad(field: &'static str, value: impl ToString, expected: &'static str) -> TrainError {
-    TrainError::BadSetting { field, value: value.to_string(), expected }
+    TrainError::BadSetting {
+        field,
+        value: value.to_string(),
+        expected,
+    }
 }
 
 /// Learning rates at the start of the run (docs/spec/optimiser.md 3).
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateConfig {
-    /// Of means, in units of [`crate::SceneScale::extent`]. 1.6e-4 (3DGS); 3e-4 here, as for colours.
+    /// Of means, in units of [`crate::SceneScale::extent`]. 1.6e-4 (3DGS); 3e-4 here, as for
+    /// colours.
     pub position: f32,
-    /// Of means at the end; between them rates fall log-linearly. 1.6e-6 (3DGS); 8e-6 here, as for colours.
+    /// Of means at the end; between them rates fall log-linearly. 1.6e-6 (3DGS); 8e-6 here, as for
+    /// colours.
     pub position_end: f32,
-    /// Of constant colours. 2.5e-3 (3DGS); 0.02 here: a dynamic
-    /// splat is seen in a few dozen steps (measured on held-out views: +1 to +2 dB after 500 steps, with the other rates
-    /// alike; faster than this costs moving parts 0.1 to 0.2 dB in longer runs).
+    /// Of constant colours. 2.5e-3 (3DGS); 0.02 here: a dynamic splat is seen in a few dozen steps
+    /// (measured on held-out views: +1 to +2 dB after 500 steps, with the other rates alike; faster
+    /// than this costs moving parts 0.1 to 0.2 dB in longer runs).
     pub colour: f32,
-    /// Of the other colour coefficients. 1.25e-4, a twentieth of that of constant colours (3DGS); 0.02 here, as constant colours: with a twentieth
-    /// they hardly move in a thousand steps (measured on held-out views).
+    /// Of the other colour coefficients. 1.25e-4, a twentieth of that of constant colours (3DGS);
+    /// 0.02 here, as constant colours: with a twentieth they hardly move in a thousand steps
+    /// (measured on held-out views).
     pub colour_harmonics: f32,
-    /// Of opacities (logit). 0.05 (3DGS): faster ones make dynamic objects translucent from every view but
-    /// the training camera's (measured on held-out views: -0.15 dB inside the moving parts at 0.3).
+    /// Of opacities (logit). 0.05 (3DGS): faster ones make dynamic objects translucent from every
+    /// view but the training camera's (measured on held-out views: -0.15 dB inside the moving parts
+    /// at 0.3).
     pub opacity: f32,
     /// Of scales (logarithm). 0.005 (3DGS); 0.03 here, as for colours.
     pub scale: f32,
     /// Of quaternions. 0.001 (3DGS); 0.006 here, as for colours.
     pub rotation: f32,
-    /// Of the middle of a life: the reference's `position * (frames - 1) / D` frames, with this D; 0 for a middle that stays.
-    /// docs/spec/optimiser.md 3 proposes 0.02 frames, but with a velocity the step moves the splat along its path, faster than `position`
-    /// allows: 0 here.
+    /// Of the middle of a life: the reference's `position * (frames - 1) / D` frames, with this D;
+    /// 0 for a middle that stays. docs/spec/optimiser.md 3 proposes 0.02 frames, but with a
+    /// velocity the step moves the splat along its path, faster than `position` allows: 0 here.
     pub time_mean_reference: f32,
     /// Of the logarithm of the standard deviation in time. 0.005, as for scales (reference).
     pub time_sd: f32,
@@ -230,7 +266,8 @@ impl Default for RateConfig {
 }
 
 impl RateConfig {
-    /// Instant4D's rates: no velocity, no rotation, time as the reference (docs/spec/optimiser.md 3; D7).
+    /// Instant4D's rates: no velocity, no rotation, time as the reference (docs/spec/optimiser.md
+    /// 3; D7).
     pub fn faithful() -> Self {
         Self {
             position: 1.6e-4,
@@ -294,11 +331,26 @@ mod tests {
         TrainConfig::faithful().check().unwrap();
         let mut broken = TrainConfig::fast();
         broken.lr.opacity = f32::NAN;
-        assert!(broken.check().unwrap_err().to_string().contains("`lr.opacity` is NaN"));
+        assert!(
+            broken
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("`lr.opacity` is NaN")
+        );
         let mut broken = TrainConfig::fast();
         broken.density.every = -1.0;
         assert!(broken.check().is_err());
-        let endless = TrainConfig { iterations: 5_000_000_000, ..TrainConfig::fast() };
-        assert!(endless.check().unwrap_err().to_string().contains("`iterations` is 5000000000"));
+        let endless = TrainConfig {
+            iterations: 5_000_000_000,
+            ..TrainConfig::fast()
+        };
+        assert!(
+            endless
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("`iterations` is 5000000000")
+        );
     }
 }

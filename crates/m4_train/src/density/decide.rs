@@ -1,5 +1,5 @@
-//! Turns scores into decisions and those into the rows of the next set of splats: pure functions, so that they can be
-//! tested on synthetic scores.
+//! Turns scores into decisions and those into the rows of the next set of splats: pure functions,
+//! so that they can be tested on synthetic scores.
 
 use crate::{
     SceneScale,
@@ -45,14 +45,27 @@ impl Decision {
 
 /// The splats to clone, split and prune.
 ///
-/// A splat is densified when its score is above the threshold and among the best `budget`; ties go to
-/// the lower row. Pruned are splats of low opacity and, when due, those that are too large and those that the score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone
-/// takes its place.
-pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scores: &Scores) -> Plan {
+/// A splat is densified when its score is above the threshold and among the best `budget`; ties go
+/// to the lower row. Pruned are splats of low opacity and, when due, those that are too large and
+/// those that the score rule names; in the literal rule a splat may be cloned and pruned in one
+/// round, then its clone takes its place.
+pub fn decide(
+    config: &DensityConfig,
+    due: Decision,
+    splats: SplatView<'_>,
+    scores: &Scores,
+) -> Plan {
     let n = splats.opacity.len();
-    let grows = if due.densify { best(config, &scores.densify, n, due.budget(config, n)) } else { vec![false; n] };
-    let by_score =
-        if due.prune_by_score { pruned_by_score(config, splats.opacity, &scores.prune) } else { vec![false; n] };
+    let grows = if due.densify {
+        best(config, &scores.densify, n, due.budget(config, n))
+    } else {
+        vec![false; n]
+    };
+    let by_score = if due.prune_by_score {
+        pruned_by_score(config, splats.opacity, &scores.prune)
+    } else {
+        vec![false; n]
+    };
     let literal = config.prune_rule == PruneRule::Literal;
 
     let mut plan = Plan::default();
@@ -60,7 +73,8 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
     for rows in [0..splats.n_static, splats.n_static..n_still, n_still..n] {
         let mut new_splats: Vec<(u32, Origin)> = Vec::new();
         for row in rows {
-            let hopeless = splats.opacity[row] < config.min_opacity || (due.prune_large && splats.oversized[row]);
+            let hopeless = splats.opacity[row] < config.min_opacity
+                || (due.prune_large && splats.oversized[row]);
             let mut add = |origin| {
                 plan.rows.push(row as u32);
                 plan.origins.push(origin);
@@ -68,7 +82,10 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
             if hopeless && !(grows[row] && splats.large[row]) {
                 plan.pruned += 1;
             } else if grows[row] && splats.large[row] {
-                new_splats.extend([(row as u32, Origin::Child(0)), (row as u32, Origin::Child(1))]);
+                new_splats.extend([
+                    (row as u32, Origin::Child(0)),
+                    (row as u32, Origin::Child(1)),
+                ]);
                 plan.split += 1;
             } else if grows[row] {
                 new_splats.push((row as u32, Origin::Clone));
@@ -94,9 +111,15 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
 
 /// True for the splats above the threshold that budget and cap allow.
 fn best(config: &DensityConfig, scores: &[f32], n: usize, budget: usize) -> Vec<bool> {
-    let mut above: Vec<u32> = (0..n as u32).filter(|&i| scores[i as usize] > config.densify_threshold).collect();
+    let mut above: Vec<u32> = (0..n as u32)
+        .filter(|&i| scores[i as usize] > config.densify_threshold)
+        .collect();
     if above.len() > budget {
-        above.sort_unstable_by(|&a, &b| scores[b as usize].total_cmp(&scores[a as usize]).then(a.cmp(&b)));
+        above.sort_unstable_by(|&a, &b| {
+            scores[b as usize]
+                .total_cmp(&scores[a as usize])
+                .then(a.cmp(&b))
+        });
         above.truncate(budget);
     }
     let mut out = vec![false; n];
@@ -104,10 +127,13 @@ fn best(config: &DensityConfig, scores: &[f32], n: usize, budget: usize) -> Vec<
     out
 }
 
-/// True for the splats whose normalised score is above the threshold (Minute4D Eq. 10), as far as the rule of opacity allows.
+/// True for the splats whose normalised score is above the threshold (Minute4D Eq. 10), as far as
+/// the rule of opacity allows.
 fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> Vec<bool> {
     let (low, high) = match config.prune_rule {
-        PruneRule::Literal => scores.iter().fold((f32::INFINITY, 0.0f32), |(a, b), &s| (a.min(s), b.max(s))),
+        PruneRule::Literal => scores
+            .iter()
+            .fold((f32::INFINITY, 0.0f32), |(a, b), &s| (a.min(s), b.max(s))),
         PruneRule::WithOpacity { quantile: q, .. } => {
             let some: Vec<f32> = scores.iter().copied().filter(|s| *s > 0.0).collect();
             let low = some.iter().copied().fold(f32::INFINITY, f32::min);
@@ -151,20 +177,33 @@ impl Rules<'_> {
         let n = splats.n();
         let scales = splats.layout().range(Column::LogScale).len();
         let largest: Vec<f32> = (0..n)
-            .map(|i| (0..scales).map(|k| splats.column(Column::LogScale, k)[i]).fold(f32::NEG_INFINITY, f32::max).exp())
+            .map(|i| {
+                (0..scales)
+                    .map(|k| splats.column(Column::LogScale, k)[i])
+                    .fold(f32::NEG_INFINITY, f32::max)
+                    .exp()
+            })
             .collect();
         let mean = |i: usize| [0, 1, 2].map(|k| splats.column(Column::Mean, k)[i]);
         let limit = |i: usize| match config.split_size {
             SplitSize::Extent { share } => share * self.scale.extent,
-            SplitSize::Pixels { pixels } => pixels * self.scale.nearest_camera(mean(i)) / self.scale.focal_px,
+            SplitSize::Pixels { pixels } => {
+                pixels * self.scale.nearest_camera(mean(i)) / self.scale.focal_px
+            }
         };
         let large: Vec<bool> = (0..n).map(|i| largest[i] > limit(i)).collect();
         let too_large = |i: usize| {
             let pixel = self.scale.nearest_camera(mean(i)) / self.scale.focal_px;
             largest[i] > LARGE_EXTENT * self.scale.extent || largest[i] > LARGE_PX / 3.0 * pixel
         };
-        let oversized: Vec<bool> = (0..n).map(|i| self.due.prune_large && too_large(i)).collect();
-        let opacity: Vec<f32> = splats.column(Column::Opacity, 0).iter().map(|&l| 1.0 / (1.0 + (-l).exp())).collect();
+        let oversized: Vec<bool> = (0..n)
+            .map(|i| self.due.prune_large && too_large(i))
+            .collect();
+        let opacity: Vec<f32> = splats
+            .column(Column::Opacity, 0)
+            .iter()
+            .map(|&l| 1.0 / (1.0 + (-l).exp()))
+            .collect();
         let view = SplatView {
             n_static: splats.n_static(),
             n_bound: splats.bindings().len(),
@@ -232,17 +271,28 @@ mod tests {
         density::{Origin, Scores},
     };
 
-    const DUE: Decision = Decision { densify: true, prune_by_score: true, prune_large: true, max_splats: 1000 };
+    const DUE: Decision = Decision {
+        densify: true,
+        prune_by_score: true,
+        prune_large: true,
+        max_splats: 1000,
+    };
 
     const NONE: [bool; 100] = [false; 100];
 
     fn scores(densify: &[f32], prune: &[f32]) -> Scores {
-        Scores { densify: densify.to_vec(), prune: prune.to_vec() }
+        Scores {
+            densify: densify.to_vec(),
+            prune: prune.to_vec(),
+        }
     }
 
     #[test]
     fn small_splats_are_cloned_and_large_ones_split() {
-        let config = DensityConfig { budget: 1.0, ..DensityConfig::fast() };
+        let config = DensityConfig {
+            budget: 1.0,
+            ..DensityConfig::fast()
+        };
         let view = SplatView {
             n_static: 2,
             n_bound: 0,
@@ -250,38 +300,73 @@ mod tests {
             large: &[false, true, false, true],
             oversized: &NONE,
         };
-        let due = Decision { prune_by_score: false, ..DUE };
-        let plan = decide(&config, due, view, &scores(&[1.0, 0.0, 0.0005, 2.0], &[0.0; 4]));
+        let due = Decision {
+            prune_by_score: false,
+            ..DUE
+        };
+        let plan = decide(
+            &config,
+            due,
+            view,
+            &scores(&[1.0, 0.0, 0.0005, 2.0], &[0.0; 4]),
+        );
         assert_eq!(plan.rows, [0, 1, 0, 2, 3, 3]);
         use Origin::{Child, Clone, Cloned, Kept};
-        assert_eq!(plan.origins, [Cloned, Kept, Clone, Kept, Child(0), Child(1)]);
+        assert_eq!(
+            plan.origins,
+            [Cloned, Kept, Clone, Kept, Child(0), Child(1)]
+        );
         assert_eq!((plan.cloned, plan.split, plan.pruned), (1, 1, 0));
         assert_eq!(plan.is_new(), [false, false, true, false, true, true]);
     }
 
     #[test]
     fn the_budget_takes_the_worst_and_the_cap_holds() {
-        let config = DensityConfig { budget: 0.5, ..DensityConfig::fast() };
+        let config = DensityConfig {
+            budget: 0.5,
+            ..DensityConfig::fast()
+        };
         let n = 10;
         let densify: Vec<f32> = (0..n).map(|i| 1.0 + ((i * 7) % n) as f32).collect();
-        let view =
-            SplatView { n_static: n, n_bound: 0, opacity: &vec![0.5; n], large: &vec![false; n], oversized: &NONE };
+        let view = SplatView {
+            n_static: n,
+            n_bound: 0,
+            opacity: &vec![0.5; n],
+            large: &vec![false; n],
+            oversized: &NONE,
+        };
         let count = |max_splats| {
-            let plan = decide(&config, Decision { max_splats, ..DUE }, view, &scores(&densify, &vec![0.0; n]));
-            let worst = plan.origins.iter().zip(&plan.rows).filter(|(o, _)| **o == Origin::Clone);
+            let plan = decide(
+                &config,
+                Decision { max_splats, ..DUE },
+                view,
+                &scores(&densify, &vec![0.0; n]),
+            );
+            let worst = plan
+                .origins
+                .iter()
+                .zip(&plan.rows)
+                .filter(|(o, _)| **o == Origin::Clone);
             assert!(worst.map(|(_, &r)| densify[r as usize]).all(|s| s > 5.0));
             plan.rows.len()
         };
         assert_eq!(count(1000), 15);
         assert_eq!(count(12), 12);
-        assert_eq!(count(3), 10, "a cap below the count adds none and removes none");
+        assert_eq!(
+            count(3),
+            10,
+            "a cap below the count adds none and removes none"
+        );
     }
 
     #[test]
     fn pruning_spares_parents_of_clones_and_opaque_splats() {
         let config = DensityConfig {
             budget: 1.0,
-            prune_rule: PruneRule::WithOpacity { opacity: 0.1, quantile: 0.999 },
+            prune_rule: PruneRule::WithOpacity {
+                opacity: 0.1,
+                quantile: 0.999,
+            },
             ..DensityConfig::fast()
         };
         // 100 splats whose scores rise; the last is transparent as dust
@@ -289,10 +374,18 @@ mod tests {
         opacity[10] = 0.05; // low score
         opacity[60] = 0.05; // above the threshold and dim: goes
         opacity[99] = 0.001; // goes by opacity
-        let prune: Vec<f32> = (0..100).map(|i| if i == 10 { 0.0 } else { i as f32 * 0.1 }).collect();
+        let prune: Vec<f32> = (0..100)
+            .map(|i| if i == 10 { 0.0 } else { i as f32 * 0.1 })
+            .collect();
         let mut densify = vec![0.0; 100];
         densify[98] = 1.0; // among the highest prune scores, but a parent
-        let view = SplatView { n_static: 40, n_bound: 0, opacity: &opacity, large: &[false; 100], oversized: &NONE };
+        let view = SplatView {
+            n_static: 40,
+            n_bound: 0,
+            opacity: &opacity,
+            large: &[false; 100],
+            oversized: &NONE,
+        };
         let plan = decide(&config, DUE, view, &scores(&densify, &prune));
         let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
         assert_eq!(gone, [60, 99]);
@@ -303,27 +396,67 @@ mod tests {
     #[test]
     fn the_literal_rule_cuts_the_tail() {
         let config = DensityConfig::literal();
-        let view = SplatView { n_static: 0, n_bound: 0, opacity: &[0.5; 4], large: &[false; 4], oversized: &NONE };
-        let plan = decide(&config, DUE, view, &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 50.0]));
+        let view = SplatView {
+            n_static: 0,
+            n_bound: 0,
+            opacity: &[0.5; 4],
+            large: &[false; 4],
+            oversized: &NONE,
+        };
+        let plan = decide(
+            &config,
+            DUE,
+            view,
+            &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 50.0]),
+        );
         // row 1: 0.5 / 100 stays; row 2: pruned, its clone takes its place; row 3: pruned
         assert_eq!(plan.rows, [0, 1, 2]);
         assert_eq!(plan.origins, [Origin::Kept, Origin::Kept, Origin::Clone]);
         assert_eq!(plan.pruned, 2);
     }
 
-    /// Both scores lie between the two thresholds of the paper, 0.001 and 0.009: high enough to clone, too low to prune.
+    /// Both scores lie between the two thresholds of the paper, 0.001 and 0.009: high enough to
+    /// clone, too low to prune.
     #[test]
     fn each_score_has_its_own_threshold() {
         for config in [DensityConfig::fast(), DensityConfig::faithful()] {
-            let config = DensityConfig { budget: 1.0, min_opacity: 0.0, ..config };
+            let config = DensityConfig {
+                budget: 1.0,
+                min_opacity: 0.0,
+                ..config
+            };
             // as low as score pruning of `fast` wants it
-            let view =
-                SplatView { n_static: 5, n_bound: 0, opacity: &[0.004; 5], large: &[false; 5], oversized: &NONE };
-            let plan = decide(&config, DUE, view, &scores(&[0.005, 0.0005, 0.0, 0.0, 0.0], &[0.0; 5]));
-            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (1, 0, &[0, 1, 2, 3, 4, 0][..]), "{config:?}");
-            // normalised by the largest, which two have for the quantile of `fast`: 0.005, 0.02 and 1
-            let plan = decide(&config, DUE, view, &scores(&[0.0; 5], &[1e-6, 0.5, 2.0, 100.0, 100.0]));
-            assert_eq!((plan.cloned, plan.pruned, &plan.rows[..]), (0, 3, &[0, 1][..]), "{config:?}");
+            let view = SplatView {
+                n_static: 5,
+                n_bound: 0,
+                opacity: &[0.004; 5],
+                large: &[false; 5],
+                oversized: &NONE,
+            };
+            let plan = decide(
+                &config,
+                DUE,
+                view,
+                &scores(&[0.005, 0.0005, 0.0, 0.0, 0.0], &[0.0; 5]),
+            );
+            assert_eq!(
+                (plan.cloned, plan.pruned, &plan.rows[..]),
+                (1, 0, &[0, 1, 2, 3, 4, 0][..]),
+                "{config:?}"
+            );
+            // normalised by the largest, which two have for the quantile of `fast`: 0.005, 0.02 and
+            // 1
+            let plan = decide(
+                &config,
+                DUE,
+                view,
+                &scores(&[0.0; 5], &[1e-6, 0.5, 2.0, 100.0, 100.0]),
+            );
+            assert_eq!(
+                (plan.cloned, plan.pruned, &plan.rows[..]),
+                (0, 3, &[0, 1][..]),
+                "{config:?}"
+            );
         }
     }
 
@@ -336,18 +469,49 @@ mod tests {
             large: &[false, true, true, false],
             oversized: &[false, true, true, false],
         };
-        let config = DensityConfig { budget: 1.0, ..DensityConfig::by_gradient() };
-        let due = Decision { prune_by_score: false, ..DUE };
-        let plan = decide(&config, due, view, &scores(&[0.0, 0.0, 1.0, 0.0], &[0.0; 4]));
-        assert_eq!((&plan.rows[..], plan.split, plan.pruned), (&[0, 3, 2, 2][..], 1, 1));
-        let due = Decision { prune_large: false, ..due };
-        assert_eq!(decide(&config, due, view, &scores(&[0.0; 4], &[0.0; 4])).pruned, 0);
+        let config = DensityConfig {
+            budget: 1.0,
+            ..DensityConfig::by_gradient()
+        };
+        let due = Decision {
+            prune_by_score: false,
+            ..DUE
+        };
+        let plan = decide(
+            &config,
+            due,
+            view,
+            &scores(&[0.0, 0.0, 1.0, 0.0], &[0.0; 4]),
+        );
+        assert_eq!(
+            (&plan.rows[..], plan.split, plan.pruned),
+            (&[0, 3, 2, 2][..], 1, 1)
+        );
+        let due = Decision {
+            prune_large: false,
+            ..due
+        };
+        assert_eq!(
+            decide(&config, due, view, &scores(&[0.0; 4], &[0.0; 4])).pruned,
+            0
+        );
     }
 
     #[test]
     fn zero_scores_keep_every_splat() {
-        let view = SplatView { n_static: 1, n_bound: 0, opacity: &[0.5; 3], large: &[true; 3], oversized: &NONE };
-        let plan = decide(&DensityConfig::fast(), DUE, view, &scores(&[0.0; 3], &[0.0; 3]));
+        let view = SplatView {
+            n_static: 1,
+            n_bound: 0,
+            opacity: &[0.5; 3],
+            large: &[true; 3],
+            oversized: &NONE,
+        };
+        let plan = decide(
+            &DensityConfig::fast(),
+            DUE,
+            view,
+            &scores(&[0.0; 3], &[0.0; 3]),
+        );
         assert!(plan.changes_nothing());
         assert_eq!(plan.rows, [0, 1, 2]);
     }

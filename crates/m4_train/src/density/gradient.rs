@@ -1,8 +1,11 @@
-//! Densification by gradients, as in 3DGS (Kerbl et al. 2023, section 5.2): the rule that loss-guided density control replaces.
+//! Densification by gradients, as in 3DGS (Kerbl et al. 2023, section 5.2): the rule that
+//! loss-guided density control replaces.
 //!
-//! The statistic of a splat is the length of the gradient with respect to its centre in the image, in units of half the image, mean over
-//! the frames that saw it since the last round (docs/spec/optimiser.md 1.7). Constants: [`crate::DensityConfig::by_gradient`]. As in
-//! Instant4D, opacities are not reset, and splats that are too large are not pruned. A run that is resumed starts the mean anew.
+//! The statistic of a splat is the length of the gradient with respect to its centre in the image,
+//! in units of half the image, mean over the frames that saw it since the last round
+//! (docs/spec/optimiser.md 1.7). Constants: [`crate::DensityConfig::by_gradient`]. As in Instant4D,
+//! opacities are not reset, and splats that are too large are not pruned. A run that is resumed
+//! starts the mean anew.
 
 use crate::density::Scores;
 
@@ -23,12 +26,16 @@ impl GradientSums {
         }
     }
 
-    /// The means as the scores of `n` splats, none of which is pruned by score; the sums start anew.
+    /// The means as the scores of `n` splats, none of which is pruned by score; the sums start
+    /// anew.
     pub(crate) fn take(&mut self, n: usize) -> Scores {
         self.fit(n);
         let sums = std::mem::take(self);
         let mean = |(sum, frames): (&f32, &u32)| sum / (*frames).max(1) as f32;
-        Scores { densify: sums.sums.iter().zip(&sums.frames).map(mean).collect(), prune: vec![0.0; n] }
+        Scores {
+            densify: sums.sums.iter().zip(&sums.frames).map(mean).collect(),
+            prune: vec![0.0; n],
+        }
     }
 
     /// Follows splats that were [rearranged](m4_core::Splats::rearrange).
@@ -59,7 +66,11 @@ mod tests {
         sums.add(&[2.0, 1.0, f32::NAN], &[1, 1, 0]);
         sums.rearrange(&[2, 0, 1]);
         assert_eq!(sums.take(3).densify, [0.0, 3.0, 1.0]);
-        assert_eq!(sums.take(3).densify, [0.0; 3], "a round starts the sums anew");
+        assert_eq!(
+            sums.take(3).densify,
+            [0.0; 3],
+            "a round starts the sums anew"
+        );
         sums.add(&[1.0], &[1]);
         assert_eq!(sums.take(2).densify, [0.0; 2], "other splats");
     }
@@ -75,7 +86,12 @@ mod tests {
             large: &[false, true, true, false],
             oversized: &[false; 4],
         };
-        let due = Decision { densify: true, prune_by_score: false, prune_large: false, max_splats: 100 };
+        let due = Decision {
+            densify: true,
+            prune_by_score: false,
+            prune_large: false,
+            max_splats: 100,
+        };
         let plan = decide(&DensityConfig::by_gradient(), due, view, &sums.take(4));
         assert_eq!(plan.rows, [0, 1, 0, 2, 2]);
         use Origin::{Child, Clone, Cloned, Kept};

@@ -1,4 +1,5 @@
-//! Loss-guided density control (Minute4D sec. 3.3): adds splats where the image is wrong, and prunes splats that stay wrong.
+//! Loss-guided density control (Minute4D sec. 3.3): adds splats where the image is wrong, and
+//! prunes splats that stay wrong.
 //!
 //! | file | what it does |
 //! |---|---|
@@ -8,9 +9,10 @@
 //! | `new_splats` | the parameters of clones and children |
 //! | `gradient` | the statistic of 3DGS in place of the scores, for comparison |
 //!
-//! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's footprint
-//! are the pixels that it is composited on; scores are raw sums of error. Both scores are taken from the same state of
-//! the splats; new splats are never pruned in the round that made them, nor are parents of clones.
+//! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1;
+//! a splat's footprint are the pixels that it is composited on; scores are raw sums of error. Both
+//! scores are taken from the same state of the splats; new splats are never pruned in the round
+//! that made them, nor are parents of clones.
 
 mod decide;
 #[cfg(feature = "gpu")]

@@ -1,6 +1,6 @@
-//! The pixels whose error is large enough to count (Minute4D Eq. 7, Minute4D Eq. 8), and from them the scores of every splat
-//! over some frames: their mean (Minute4D Eq. 9), and their sum weighted by the loss of the frame (Minute4D Eq. 10, which
-//! [`super::decide()`] normalises).
+//! The pixels whose error is large enough to count (Minute4D Eq. 7, Minute4D Eq. 8), and from them
+//! the scores of every splat over some frames: their mean (Minute4D Eq. 9), and their sum weighted
+//! by the loss of the frame (Minute4D Eq. 10, which [`super::decide()`] normalises).
 
 use super::{ScoreSettings, Scores};
 use crate::{config::ErrorRange, frames::FrameStore, refine::expose};
@@ -21,10 +21,18 @@ pub(crate) struct ScoreInput<'a, 'c> {
     pub scratch: &'a mut LossScratch,
 }
 
-/// Draws `splats` in each of `frames`, with the view that goes with it, and adds up what is wrong where they are.
-pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(usize, View)]) -> Scores {
+/// Draws `splats` in each of `frames`, with the view that goes with it, and adds up what is wrong
+/// where they are.
+pub(crate) fn score(
+    input: &mut ScoreInput<'_, '_>,
+    splats: &Splats,
+    frames: &[(usize, View)],
+) -> Scores {
     let n = splats.n();
-    let mut scores = Scores { densify: vec![0.0; n], prune: vec![0.0; n] };
+    let mut scores = Scores {
+        densify: vec![0.0; n],
+        prune: vec![0.0; n],
+    };
     let (mut one, mut errors) = (vec![0.0f32; n], Vec::new());
     let (mut gradient, mut exposed): ([Vec<f32>; 3], [Vec<f32>; 3]) = Default::default();
     let share = 1.0 / frames.len().max(1) as f32;
@@ -38,7 +46,14 @@ pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(
             }
             None => &drawn.rgb,
         };
-        let terms = loss(input.level, target, rgb, input.settings.lambda_ssim, input.scratch, &mut gradient);
+        let terms = loss(
+            input.level,
+            target,
+            rgb,
+            input.settings.lambda_ssim,
+            input.scratch,
+            &mut gradient,
+        );
         error_map(input.level, target, rgb, &mut errors);
         masked_error(&mut errors, input.settings.threshold, input.settings.range);
         one.fill(0.0);
@@ -51,7 +66,8 @@ pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(
     scores
 }
 
-/// Sets every error of a frame whose normalised value is not above `threshold` to 0; the others keep their raw value.
+/// Sets every error of a frame whose normalised value is not above `threshold` to 0; the others
+/// keep their raw value.
 ///
 /// `errors` is one plane, `[height][width]`, of channel-mean absolute errors. Values that are not
 /// finite count as 0. A frame without any difference between its errors has no pixel that counts.
@@ -60,7 +76,9 @@ pub fn masked_error(errors: &mut [f32], threshold: f32, range: ErrorRange) {
         *e = 0.0;
     }
     let (low, high) = match range {
-        ErrorRange::MinMax => errors.iter().fold((f32::INFINITY, 0.0f32), |(a, b), &e| (a.min(e), b.max(e))),
+        ErrorRange::MinMax => errors
+            .iter()
+            .fold((f32::INFINITY, 0.0f32), |(a, b), &e| (a.min(e), b.max(e))),
         ErrorRange::Quantile { high } => (0.0, quantile(errors, high)),
     };
     let cut = low + threshold * (high - low);
@@ -78,7 +96,9 @@ pub(crate) fn quantile(values: &[f32], q: f32) -> f32 {
     }
     let mut sorted = values.to_vec();
     let k = ((values.len() - 1) as f32 * q.clamp(0.0, 1.0)) as usize;
-    *sorted.select_nth_unstable_by(k.min(values.len() - 1), f32::total_cmp).1
+    *sorted
+        .select_nth_unstable_by(k.min(values.len() - 1), f32::total_cmp)
+        .1
 }
 
 #[cfg(test)]
@@ -99,7 +119,9 @@ mod tests {
 
     #[test]
     fn one_hot_pixel_does_not_hide_the_others() {
-        let base: Vec<f32> = (0..1000).map(|i| if i == 7 { 50.0 } else { (i % 10) as f32 * 0.01 }).collect();
+        let base: Vec<f32> = (0..1000)
+            .map(|i| if i == 7 { 50.0 } else { (i % 10) as f32 * 0.01 })
+            .collect();
         let kept = |range| {
             let mut e = base.clone();
             masked_error(&mut e, 0.1, range);

@@ -18,10 +18,12 @@ const AFTER: [f64; 2] = [5.0, 10.0];
 const LARGEST_PX: f32 = 1.5;
 /// A life is right within this, frames at 24 a second.
 const ON_TIME: f64 = 2.0;
-/// A track that is not at the depth of its pixel within this share is not what the frame shows there.
+/// A track that is not at the depth of its pixel within this share is not what the frame shows
+/// there.
 const SAME_DEPTH: f32 = 0.03;
 
-/// Errors of points of dynamic surfaces that nodes carry from a frame to another of the same window that shows them, whether or not a life would last as long.
+/// Errors of points of dynamic surfaces that nodes carry from a frame to another of the same window
+/// that shows them, whether or not a life would last as long.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CarriedErrors {
     /// Time between the two, frames at 24 a second.
@@ -36,7 +38,8 @@ pub struct CarriedErrors {
     pub within_sigma: Option<f32>,
 }
 
-/// Ends of lives beside the moments when the error passes 1.5 pixels, or the window ends; one for each point, frame and side.
+/// Ends of lives beside the moments when the error passes 1.5 pixels, or the window ends; one for
+/// each point, frame and side.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct LifeErrors {
     /// Ends.
@@ -75,7 +78,10 @@ struct Samples {
 
 impl Samples {
     fn and(mut self, other: Self) -> Self {
-        self.carried.iter_mut().zip(other.carried).for_each(|(a, b)| a.extend(b));
+        self.carried
+            .iter_mut()
+            .zip(other.carried)
+            .for_each(|(a, b)| a.extend(b));
         self.ends.extend(other.ends);
         self.points += other.points;
         self.without_node += other.without_node;
@@ -83,8 +89,9 @@ impl Samples {
     }
 }
 
-/// Follows the points of `truth`, world units and frames of `capture`, by the motion that first splats have, and compares (docs/spec/scaffold.md 4).
-/// Fails as [`initialise`](super::initialise), and where tracks do not match the frames.
+/// Follows the points of `truth`, world units and frames of `capture`, by the motion that first
+/// splats have, and compares (docs/spec/scaffold.md 4). Fails as [`initialise`](super::initialise),
+/// and where tracks do not match the frames.
 pub fn motion_errors(
     capture: &Capture,
     truth: &Tracks,
@@ -93,11 +100,24 @@ pub fn motion_errors(
 ) -> Result<MotionErrors, InitError> {
     config.check()?;
     if truth.frames() != capture.frames.len() {
-        return Err(InitError::Tracks { frames: capture.frames.len(), tracks: truth.frames() });
+        return Err(InitError::Tracks {
+            frames: capture.frames.len(),
+            tracks: truth.frames(),
+        });
     }
     let clouds = clouds(capture, config, progress)?;
-    let Moving { frames, dynamic, fields, .. } = moving(capture, config, &clouds, progress)?;
-    let clip = Clip { capture, frames: &frames, dynamic: &dynamic, fields: &fields };
+    let Moving {
+        frames,
+        dynamic,
+        fields,
+        ..
+    } = moving(capture, config, &clouds, progress)?;
+    let clip = Clip {
+        capture,
+        frames: &frames,
+        dynamic: &dynamic,
+        fields: &fields,
+    };
     let mut all = Samples::default();
     for keys in clip.spans() {
         stopped(progress)?;
@@ -118,24 +138,43 @@ fn window(clip: &Clip<'_>, span: &Span<'_>, truth: &Tracks) -> Samples {
         })
         .collect();
     let of = |at: usize| {
-        let Some(tree) = span.tree(at) else { return Samples::default() };
+        let Some(tree) = span.tree(at) else {
+            return Samples::default();
+        };
         let frame = clip.frames[span.keys.start + at];
-        let points = (0..truth.count()).filter_map(|track| Some((track, visible_place(truth, frame, track)?)));
+        let points = (0..truth.count())
+            .filter_map(|track| Some((track, visible_place(truth, frame, track)?)));
         let samples = points.filter_map(|(track, p)| {
             let rgb = colour(clip, span, at, p)?;
             let Some(carrier) = span.carrier(&tree, at, p) else {
-                return Some(Samples { points: 1, without_node: 1, ..Samples::default() });
+                return Some(Samples {
+                    points: 1,
+                    without_node: 1,
+                    ..Samples::default()
+                });
             };
-            Some(point(clip, span, &deviations, (at, track, rgb), &carrier, truth))
+            Some(point(
+                clip,
+                span,
+                &deviations,
+                (at, track, rgb),
+                &carrier,
+                truth,
+            ))
         });
         samples.fold(Samples::default(), Samples::and)
     };
-    (0..span.times.len()).into_par_iter().map(of).reduce(Samples::default, Samples::and)
+    (0..span.times.len())
+        .into_par_iter()
+        .map(of)
+        .reduce(Samples::default, Samples::and)
 }
 
 /// Returns where a track is, if the frame shows it.
 fn visible_place(truth: &Tracks, frame: usize, track: usize) -> Option<[f32; 3]> {
-    truth.place(frame, track).filter(|_| truth.visible()[frame * truth.count() + track])
+    truth
+        .place(frame, track)
+        .filter(|_| truth.visible()[frame * truth.count() + track])
 }
 
 /// Returns the colour of a dynamic surface that keyframe `at` shows at a place.
@@ -169,41 +208,68 @@ fn point(
     let error = |key: usize| -> Option<f32> {
         let true_place = visible_place(truth, clip.frames[span.keys.start + key], track)?;
         let observed = span.observed[key].as_ref()?;
-        let place = observed.project(&carrier.place(&span.nodes.motion[key]))?.at;
+        let place = observed
+            .project(&carrier.place(&span.nodes.motion[key]))?
+            .at;
         let true_place = observed.project(&Vector3::from(true_place))?.at;
-        Some((place[0] - true_place[0]).hypot(place[1] - true_place[1]) * UNIT_WIDTH / observed.width() as f32)
+        Some(
+            (place[0] - true_place[0]).hypot(place[1] - true_place[1]) * UNIT_WIDTH
+                / observed.width() as f32,
+        )
     };
     let deviation = |key: usize| {
-        let Some(all) = &deviations[key] else { return 0.0 };
-        carrier.nodes.iter().zip(carrier.weights).map(|(&n, w)| w * all[usize::from(n)]).sum::<f32>()
+        let Some(all) = &deviations[key] else {
+            return 0.0;
+        };
+        carrier
+            .nodes
+            .iter()
+            .zip(carrier.weights)
+            .map(|(&n, w)| w * all[usize::from(n)])
+            .sum::<f32>()
     };
-    let mut out = Samples { points: 1, ..Samples::default() };
+    let mut out = Samples {
+        points: 1,
+        ..Samples::default()
+    };
     for (after, pairs) in AFTER.iter().zip(&mut out.carried) {
         for side in [-1.0, 1.0] {
             let wanted = f64::from(times[at]) + side * after * frame_24;
             let near = |key: &usize| (f64::from(times[*key]) - wanted).abs() <= 0.5;
             // a slow clip has no frame at that time but its own
-            let Some(key) = (0..times.len()).find(near).filter(|key| *key != at) else { continue };
+            let Some(key) = (0..times.len()).find(near).filter(|key| *key != at) else {
+                continue;
+            };
             let Some(error) = error(key) else { continue };
             pairs.push([error, deviation(at).hypot(deviation(key))]);
         }
     }
-    let life = span.life(at, rgb, carrier).map_or([times[at]; 2], |life| life.life);
+    let life = span
+        .life(at, rgb, carrier)
+        .map_or([times[at]; 2], |life| life.life);
     for ahead in [true, false] {
-        let keys: Vec<usize> = if ahead { (at..times.len()).collect() } else { (0..=at).rev().collect() };
-        let wrong = keys.iter().position(|&key| error(key).is_some_and(|e| e > LARGEST_PX));
+        let keys: Vec<usize> = if ahead {
+            (at..times.len()).collect()
+        } else {
+            (0..=at).rev().collect()
+        };
+        let wrong = keys
+            .iter()
+            .position(|&key| error(key).is_some_and(|e| e > LARGEST_PX));
         let last = f64::from(times[*keys.last().unwrap_or(&at)]);
         // the last moment at which the point is where it should be
         let right = wrong.map_or(last, |k| f64::from(times[keys[k.saturating_sub(1)]]));
         let end = f64::from(life[usize::from(ahead)]);
         let end = if ahead { end.min(last) } else { end.max(last) };
-        out.ends.push(if ahead { end - right } else { right - end } / frame_24);
+        out.ends
+            .push(if ahead { end - right } else { right - end } / frame_24);
     }
     out
 }
 
 fn summary(samples: Samples) -> MotionErrors {
-    let quantile = |sorted: &[f32], share: f64| sorted.get((share * sorted.len() as f64) as usize).copied();
+    let quantile =
+        |sorted: &[f32], share: f64| sorted.get((share * sorted.len() as f64) as usize).copied();
     let carried = AFTER.iter().zip(samples.carried).map(|(&after, pairs)| {
         let mut errors: Vec<f32> = pairs.iter().map(|[error, _]| *error).collect();
         errors.sort_by(f32::total_cmp);
@@ -217,7 +283,8 @@ fn summary(samples: Samples) -> MotionErrors {
         }
     });
     let share = |of: &dyn Fn(f64) -> bool| {
-        samples.ends.iter().filter(|end| of(**end)).count() as f32 / samples.ends.len().max(1) as f32
+        samples.ends.iter().filter(|end| of(**end)).count() as f32
+            / samples.ends.len().max(1) as f32
     };
     let lives = LifeErrors {
         count: samples.ends.len(),
@@ -226,5 +293,10 @@ fn summary(samples: Samples) -> MotionErrors {
         early: share(&|end| end < -ON_TIME),
     };
     let without_node = samples.without_node as f32 / samples.points.max(1) as f32;
-    MotionErrors { points: samples.points, without_node, carried: carried.collect(), lives }
+    MotionErrors {
+        points: samples.points,
+        without_node,
+        carried: carried.collect(),
+        lives,
+    }
 }

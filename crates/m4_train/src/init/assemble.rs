@@ -18,8 +18,9 @@ use m4_core::{Capture, Progress, Splats};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Voxels are never smaller than this, pixels at the median depth: splats finer than the pixels leave cracks in views from the
-/// side (measured: -0.4 dB inside moving parts at 0.5; docs/decisions/0004).
+/// Voxels are never smaller than this, pixels at the median depth: splats finer than the pixels
+/// leave cracks in views from the side (measured: -0.4 dB inside moving parts at 0.5;
+/// docs/decisions/0004).
 const MIN_PIXELS: f32 = 1.25;
 /// Edge of voxels, pixels, that merge no two pixels of a frame.
 const UNMERGED_PIXELS: f32 = 0.1;
@@ -33,26 +34,42 @@ const SHELL_RADIUS: f32 = 2.0;
 pub struct FirstSplats {
     /// Static ones first; dynamic ones are in order of time.
     pub splats: Splats,
-    /// Static rows that are drawn, but never trained or split: nothing that a frame shows is theirs, they only fill what no
-    /// frame shows (docs/decisions/0020). Dynamic rows among them are trained.
+    /// Static rows that are drawn, but never trained or split: nothing that a frame shows is
+    /// theirs, they only fill what no frame shows (docs/decisions/0020). Dynamic rows among them
+    /// are trained.
     pub fixed: Range<usize>,
 }
 
 impl From<Splats> for FirstSplats {
     /// All of them are trained.
     fn from(splats: Splats) -> Self {
-        Self { splats, fixed: 0..0 }
+        Self {
+            splats,
+            fixed: 0..0,
+        }
     }
 }
 
 /// The first splats of a capture.
 ///
-/// Frames without a mask are static everywhere; frames without depth are skipped. Fails with [`InitError`] if a setting is
-/// out of range, the capture has no frame or no usable depth, a camera is not finite, or `progress` asked to stop.
-pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<FirstSplats, InitError> {
+/// Frames without a mask are static everywhere; frames without depth are skipped. Fails with
+/// [`InitError`] if a setting is out of range, the capture has no frame or no usable depth, a
+/// camera is not finite, or `progress` asked to stop.
+pub fn initialise(
+    capture: &Capture,
+    config: &InitConfig,
+    progress: &dyn Progress,
+) -> Result<FirstSplats, InitError> {
     config.check()?;
-    if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
-        return Err(InitError::Tracks { frames: capture.frames.len(), tracks: tracks.frames() });
+    if let Some(tracks) = capture
+        .tracks
+        .as_ref()
+        .filter(|t| t.frames() != capture.frames.len())
+    {
+        return Err(InitError::Tracks {
+            frames: capture.frames.len(),
+            tracks: tracks.frames(),
+        });
     }
     let clouds = clouds(capture, config, progress)?;
     let median_depth = clouds.median_depth;
@@ -60,21 +77,45 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let least = config.voxel_px.unwrap_or(MIN_PIXELS);
     let (static_grid, static_points) = if config.merge_surfaces {
         let Surface { cloud, count } = surface(capture, &clouds.static_points, progress)?;
-        let grid = grid(pixels_for(config.max_static, least, |p| grid(p).occupied(&cloud)));
+        let grid = grid(pixels_for(config.max_static, least, |p| {
+            grid(p).occupied(&cloud)
+        }));
         let points = grid.merge_weighted(&cloud, &count);
         (grid, points)
     } else {
         let parts = &clouds.static_points;
         let points = |pixels: &Pixels| pixels.cloud(capture);
-        let grid = grid(pixels_for(config.max_static, least, |p| grid(p).occupied_by(parts, points)));
+        let grid = grid(pixels_for(config.max_static, least, |p| {
+            grid(p).occupied_by(parts, points)
+        }));
         let merged = grid.merge_all(parts, points);
         (grid, merged)
     };
     stopped(progress)?;
-    progress.update("voxels", 1, 3, &format!("{} static", static_points.xyz.len()));
-    let Moving { grid: moving_grid, frames, dynamic, fields } = moving(capture, config, &clouds, progress)?;
-    progress.update("voxels", 2, 3, &format!("{} static", static_points.xyz.len()));
-    let clip = Clip { capture, frames: &frames, dynamic: &dynamic, fields: &fields };
+    progress.update(
+        "voxels",
+        1,
+        3,
+        &format!("{} static", static_points.xyz.len()),
+    );
+    let Moving {
+        grid: moving_grid,
+        frames,
+        dynamic,
+        fields,
+    } = moving(capture, config, &clouds, progress)?;
+    progress.update(
+        "voxels",
+        2,
+        3,
+        &format!("{} static", static_points.xyz.len()),
+    );
+    let clip = Clip {
+        capture,
+        frames: &frames,
+        dynamic: &dynamic,
+        fields: &fields,
+    };
     let lives = match config.velocity {
         VelocityInit::Zero => Lives::free(&dynamic),
         VelocityInit::Register { .. } => lives(clip, progress)?,
@@ -98,15 +139,36 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
                 return Tints::default();
             }
             let found = changes(&capture.frames[frame], config, &static_grid, &static_points);
-            Tints { darker: tint_grid.merge(&found.darker), brighter: tint_grid.merge(&found.brighter) }
+            Tints {
+                darker: tint_grid.merge(&found.darker),
+                brighter: tint_grid.merge(&found.brighter),
+            }
         })
         .collect();
-    let shell = shell(capture, config.shell_splats, SHELL_RADIUS * clouds.far_depth as f32);
+    let shell = shell(
+        capture,
+        config.shell_splats,
+        SHELL_RADIUS * clouds.far_depth as f32,
+    );
     let centre = |i: usize| capture.frames[frames[i]].camera.centre();
-    let paths = (0..dynamic.len()).map(|i| Paths::of(&dynamic, &fields, i, &centre(i))).collect();
-    let parts = Parts { static_points, shell, dynamic, paths, lives, tracked, tints };
+    let paths = (0..dynamic.len())
+        .map(|i| Paths::of(&dynamic, &fields, i, &centre(i)))
+        .collect();
+    let parts = Parts {
+        static_points,
+        shell,
+        dynamic,
+        paths,
+        lives,
+        tracked,
+        tints,
+    };
     let first = rows(capture, config, parts)?;
-    let note = format!("{} static, {} dynamic", first.splats.n_static(), first.splats.n_dynamic());
+    let note = format!(
+        "{} static, {} dynamic",
+        first.splats.n_static(),
+        first.splats.n_dynamic()
+    );
     progress.update("voxels", 3, 3, &note);
     Ok(first)
 }
@@ -134,16 +196,32 @@ pub(crate) fn moving(
     let points = |pixels: &Pixels| pixels.cloud(capture);
     let count = |p| {
         let grid = grid(p);
-        clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
+        clouds
+            .moving
+            .par_iter()
+            .map(|k| grid.occupied(&points(k)))
+            .sum()
     };
-    let least = if config.voxel_px.is_some() { UNMERGED_PIXELS } else { MIN_PIXELS };
+    let least = if config.voxel_px.is_some() {
+        UNMERGED_PIXELS
+    } else {
+        MIN_PIXELS
+    };
     let moving_grid = grid(pixels_for(config.max_dynamic, least, count));
-    let dynamic: Vec<(f64, Centroids)> =
-        clouds.moving.par_iter().map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k)))).collect();
+    let dynamic: Vec<(f64, Centroids)> = clouds
+        .moving
+        .par_iter()
+        .map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k))))
+        .collect();
     stopped(progress)?;
     let fields = motions(capture, config, clouds, &dynamic, &grid, progress)?;
     let frames = clouds.moving.iter().map(|k| k.frame).collect();
-    Ok(Moving { grid: moving_grid, frames, dynamic, fields })
+    Ok(Moving {
+        grid: moving_grid,
+        frames,
+        dynamic,
+        fields,
+    })
 }
 
 /// Voxels of an edge of `pixels`.
@@ -156,7 +234,14 @@ fn grid(capture: &Capture, config: &InitConfig, clouds: &Clouds, pixels: f32) ->
         CellSize::Constant => clouds.first_depth,
         CellSize::DepthProportional => clouds.median_depth,
     };
-    Grid::new(config.cells, pixels, clouds.focal_px, depth, &centres, centres[0])
+    Grid::new(
+        config.cells,
+        pixels,
+        clouds.focal_px,
+        depth,
+        &centres,
+        centres[0],
+    )
 }
 
 /// A place behind the depth map by this share of the depth is not looked for in an image.
@@ -175,19 +260,33 @@ fn motions(
         VelocityInit::Zero => Ok(vec![Fields::default(); dynamic.len().saturating_sub(1)]),
         VelocityInit::Register { tracks } => {
             let coarse_grid = grid(NODE_PIXELS);
-            let coarse = clouds.moving.par_iter().map(|k| coarse_grid.merge(&k.cloud(capture)));
+            let coarse = clouds
+                .moving
+                .par_iter()
+                .map(|k| coarse_grid.merge(&k.cloud(capture)));
             let coarse: Vec<Centroids> = coarse.collect();
             let reach = (f64::from(REACH_PIXELS) * clouds.median_depth / clouds.focal_px) as f32;
             let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
-            let sees: Vec<_> = frames().map(|frame| move |p| is_visible(frame, p, HIDDEN_BEHIND)).collect();
-            let keyframes: Vec<View<'_>> =
-                (0..dynamic.len()).map(|i| View { nodes: &coarse[i], points: &dynamic[i].1, sees: &sees[i] }).collect();
+            let sees: Vec<_> = frames()
+                .map(|frame| move |p| is_visible(frame, p, HIDDEN_BEHIND))
+                .collect();
+            let keyframes: Vec<View<'_>> = (0..dynamic.len())
+                .map(|i| View {
+                    nodes: &coarse[i],
+                    points: &dynamic[i].1,
+                    sees: &sees[i],
+                })
+                .collect();
             let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
-            let tracks = capture.tracks.as_ref().filter(|_| tracks).map(|tracks| KeyframeTracks {
-                tracks,
-                frames: &frames,
-                reach,
-            });
+            let tracks = capture
+                .tracks
+                .as_ref()
+                .filter(|_| tracks)
+                .map(|tracks| KeyframeTracks {
+                    tracks,
+                    frames: &frames,
+                    reach,
+                });
             fields(&keyframes, tracks, reach, progress)
         }
     }

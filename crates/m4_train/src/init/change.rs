@@ -1,9 +1,10 @@
 //! Changes of brightness without motion: shadows, reflections, lamps.
 //!
 //! A mask knows things that move; their shadows fall on things that do not. A pixel of static
-//! surface is compared with the mean colour of its voxel over all frames; where a whole patch of the
-//! frame is darker or brighter than that mean, thin dark or bright splats are laid over the surface for
-//! the time of the frame. They tint the surface instead of repainting it, so few suffice.
+//! surface is compared with the mean colour of its voxel over all frames; where a whole patch of
+//! the frame is darker or brighter than that mean, thin dark or bright splats are laid over the
+//! surface for the time of the frame. They tint the surface instead of repainting it, so few
+//! suffice.
 
 use crate::init::{
     InitConfig,
@@ -21,7 +22,8 @@ const MOST_CHANGED: f32 = 0.1;
 /// Overlays float this share of the depth in front of the surface: near enough to show no parallax.
 const LIFT: f64 = 0.01;
 
-/// Patches of one frame; the colour of each point is the share of light taken away or added, 0..255.
+/// Patches of one frame; the colour of each point is the share of light taken away or added,
+/// 0..255.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Changes {
     /// Where less light arrives than on average.
@@ -31,9 +33,16 @@ pub(crate) struct Changes {
 }
 
 /// Compares a frame with the mean colours of `voxels`, which `grid` made.
-pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, voxels: &Centroids) -> Changes {
+pub(crate) fn changes(
+    frame: &CaptureFrame,
+    config: &InitConfig,
+    grid: &Grid,
+    voxels: &Centroids,
+) -> Changes {
     let mut out = Changes::default();
-    let Some(depth) = &frame.depth else { return out };
+    let Some(depth) = &frame.depth else {
+        return out;
+    };
     let (w, h) = depth.size();
     let (gw, gh) = (w.div_ceil(STEP), h.div_ceil(STEP));
     let grey = |c: [f32; 3]| (c[0] + c[1] + c[2]) / 3.0;
@@ -51,15 +60,26 @@ pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, vo
         }
     });
     // What the whole frame has in common is its exposure.
-    let mut known: Vec<f32> = difference.iter().copied().filter(|d| d.is_finite()).collect();
+    let mut known: Vec<f32> = difference
+        .iter()
+        .copied()
+        .filter(|d| d.is_finite())
+        .collect();
     let Some(common) = m4_core::median(&mut known) else {
         return out;
     };
 
     let patches = patch_means(&difference, gw, gh);
-    let mut sizes: Vec<f32> = patches.iter().filter(|d| d.is_finite()).map(|d| (d - common).abs()).collect();
+    let mut sizes: Vec<f32> = patches
+        .iter()
+        .filter(|d| d.is_finite())
+        .map(|d| (d - common).abs())
+        .collect();
     let rank = ((sizes.len() as f32 * (1.0 - MOST_CHANGED)) as usize).min(sizes.len() - 1);
-    let threshold = sizes.select_nth_unstable_by(rank, f32::total_cmp).1.max(config.change_threshold);
+    let threshold = sizes
+        .select_nth_unstable_by(rank, f32::total_cmp)
+        .1
+        .max(config.change_threshold);
 
     let centre = frame.camera.centre();
     for k in 0..gw * gh {
@@ -67,16 +87,26 @@ pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, vo
         if !difference[k].is_finite() || d.abs() <= threshold {
             continue;
         }
-        let share = if d < 0.0 { -d / mean[k].max(0.02) } else { d / (1.0 - mean[k]).max(0.02) };
+        let share = if d < 0.0 {
+            -d / mean[k].max(0.02)
+        } else {
+            d / (1.0 - mean[k]).max(0.02)
+        };
         let lifted = [0, 1, 2].map(|a| (points[k][a] + LIFT * (centre[a] - points[k][a])) as f32);
-        let to = if d < 0.0 { &mut out.darker } else { &mut out.brighter };
+        let to = if d < 0.0 {
+            &mut out.darker
+        } else {
+            &mut out.brighter
+        };
         to.xyz.push(lifted);
-        to.rgb.push([(share.clamp(0.0, 1.0) * 255.0).round() as u8; 3]);
+        to.rgb
+            .push([(share.clamp(0.0, 1.0) * 255.0).round() as u8; 3]);
     }
     out
 }
 
-/// Mean of the known values in the square around each entry; NaN where the entry itself is not known.
+/// Mean of the known values in the square around each entry; NaN where the entry itself is not
+/// known.
 fn patch_means(values: &[f32], w: usize, h: usize) -> Vec<f32> {
     // summed-area tables of values and counts
     let mut sums = vec![(0.0f64, 0u32); (w + 1) * (h + 1)];
@@ -100,7 +130,12 @@ fn patch_means(values: &[f32], w: usize, h: usize) -> Vec<f32> {
             let (x, y) = (i % w, i / w);
             let (x0, y0) = (x.saturating_sub(PATCH), y.saturating_sub(PATCH));
             let (x1, y1) = ((x + PATCH + 1).min(w), (y + PATCH + 1).min(h));
-            let [a, b, c, d] = [corner(x0, y0), corner(x1, y0), corner(x0, y1), corner(x1, y1)];
+            let [a, b, c, d] = [
+                corner(x0, y0),
+                corner(x1, y0),
+                corner(x0, y1),
+                corner(x1, y1),
+            ];
             let count = (d.1 + a.1) - (b.1 + c.1);
             ((d.0 - b.0 - c.0 + a.0) / f64::from(count.max(1))) as f32
         })

@@ -4,8 +4,9 @@ use crate::init::{InitConfig, InitError, config::stopped, free_space};
 use m4_core::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, dilated, nalgebra::Vector3};
 use rayon::prelude::*;
 
-/// A pixel is dropped when its depth lies between those of two opposite neighbours and differs from both by more than this
-/// share: it hangs in the air between two surfaces (our rule; docs/decisions/0004).
+/// A pixel is dropped when its depth lies between those of two opposite neighbours and differs from
+/// both by more than this share: it hangs in the air between two surfaces (our rule;
+/// docs/decisions/0004).
 const EDGE_JUMP: f32 = 0.05;
 
 /// Coloured points of the world.
@@ -24,8 +25,8 @@ impl Cloud {
     }
 }
 
-/// Points of one frame that are made when they are looked at: a bit per pixel instead of 15 bytes per point, which for
-/// all frames together would be a good part of the memory of a run.
+/// Points of one frame that are made when they are looked at: a bit per pixel instead of 15 bytes
+/// per point, which for all frames together would be a good part of the memory of a run.
 #[derive(Debug, Clone)]
 pub(crate) struct Pixels {
     /// Which frame of the capture it is.
@@ -39,7 +40,9 @@ impl Pixels {
     pub fn cloud(&self, capture: &Capture) -> Cloud {
         let frame = &capture.frames[self.frame];
         let mut out = Cloud::default();
-        let Some(depth) = &frame.depth else { return out };
+        let Some(depth) = &frame.depth else {
+            return out;
+        };
         let ((w, h), (rgb_w, rgb_h)) = (depth.size(), frame.rgb.size());
         let camera = frame.camera.resized(w, h);
         let count = self.mask.count();
@@ -47,7 +50,10 @@ impl Pixels {
         out.rgb.reserve_exact(count);
         for (x, y) in self.mask.set_pixels() {
             let p = camera.unproject(x as f64, y as f64, f64::from(depth.at(x, y)));
-            out.push(p, frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))]);
+            out.push(
+                p,
+                frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))],
+            );
         }
         out
     }
@@ -58,7 +64,8 @@ impl Pixels {
 pub(crate) struct Clouds {
     /// The static part, in the frames that it is taken from.
     pub static_points: Vec<Pixels>,
-    /// The dynamic part, one per keyframe, in order of time; keyframes without moving pixels included.
+    /// The dynamic part, one per keyframe, in order of time; keyframes without moving pixels
+    /// included.
     pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
@@ -73,20 +80,36 @@ pub(crate) struct Clouds {
 }
 
 /// Back-projects the frames that `config` picks.
-pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Clouds, InitError> {
+pub(crate) fn clouds(
+    capture: &Capture,
+    config: &InitConfig,
+    progress: &dyn Progress,
+) -> Result<Clouds, InitError> {
     if capture.frames.is_empty() {
         return Err(InitError::NoFrames);
     }
     if let Some(frame) = capture.frames.iter().find(|f| !camera_is_usable(f)) {
-        return Err(InitError::BadCamera { frame: frame.name.clone() });
+        return Err(InitError::BadCamera {
+            frame: frame.name.clone(),
+        });
     }
-    let with_depth: Vec<usize> = (0..capture.frames.len()).filter(|&i| capture.frames[i].depth.is_some()).collect();
+    let with_depth: Vec<usize> = (0..capture.frames.len())
+        .filter(|&i| capture.frames[i].depth.is_some())
+        .collect();
     if with_depth.is_empty() {
-        return Err(InitError::NoDepth { frames: capture.frames.len() });
+        return Err(InitError::NoDepth {
+            frames: capture.frames.len(),
+        });
     }
     let picked = with_depth.len().min(config.static_frames);
     let static_rank: Vec<usize> = (0..picked)
-        .map(|i| if picked == 1 { with_depth.len() / 2 } else { i * (with_depth.len() - 1) / (picked - 1) })
+        .map(|i| {
+            if picked == 1 {
+                with_depth.len() / 2
+            } else {
+                i * (with_depth.len() - 1) / (picked - 1)
+            }
+        })
         .collect();
 
     let mut out = Clouds {
@@ -125,7 +148,12 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             out.moving.extend(part.moving.map(pixels));
         }
         let note = format!("{points} points");
-        progress.update("points", (b * BATCH + batch.len()).min(with_depth.len()), with_depth.len(), &note);
+        progress.update(
+            "points",
+            (b * BATCH + batch.len()).min(with_depth.len()),
+            with_depth.len(),
+            &note,
+        );
     }
     if depths.is_empty() {
         return Err(InitError::EmptyDepth {
@@ -136,7 +164,8 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
     free_space::clear(capture, &mut out.static_points, config, progress)?;
     let last = depths.len() - 1;
     let mut at = |rank: usize| f64::from(*depths.select_nth_unstable_by(rank, f32::total_cmp).1);
-    (out.median_depth, out.near_depth, out.far_depth) = (at(last.div_ceil(2)), at(last / 100), at(last * 99 / 100));
+    (out.median_depth, out.near_depth, out.far_depth) =
+        (at(last.div_ceil(2)), at(last / 100), at(last * 99 / 100));
     Ok(out)
 }
 
@@ -145,7 +174,11 @@ fn camera_is_usable(frame: &CaptureFrame) -> bool {
     [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite())
         && k.fx > 0.0
         && k.fy > 0.0
-        && pose.rotation.iter().chain(pose.translation.iter()).all(|v| v.is_finite())
+        && pose
+            .rotation
+            .iter()
+            .chain(pose.translation.iter())
+            .all(|v| v.is_finite())
 }
 
 /// What one frame contributes.
@@ -160,14 +193,22 @@ struct Part {
 }
 
 fn classify_pixels(frame: &CaptureFrame, config: &InitConfig, want_static: bool) -> Part {
-    let mut part = Part { static_points: None, moving: None, depths: Vec::new(), focal_px: 0.0 };
-    let Some(depth) = &frame.depth else { return part };
+    let mut part = Part {
+        static_points: None,
+        moving: None,
+        depths: Vec::new(),
+        focal_px: 0.0,
+    };
+    let Some(depth) = &frame.depth else {
+        return part;
+    };
     let depth = &depth.to_map();
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
     part.focal_px = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy);
-    let usable: Vec<bool> =
-        (0..w * h).map(|i| is_depth(depth.data()[i]) && !is_depth_edge(depth, i % w, i / w)).collect();
+    let usable: Vec<bool> = (0..w * h)
+        .map(|i| is_depth(depth.data()[i]) && !is_depth_edge(depth, i % w, i / w))
+        .collect();
     let sampled = (0..w * h).step_by(16).filter(|&i| usable[i]);
     part.depths = sampled.map(|i| depth.data()[i]).collect();
     let moves = moving_pixels(frame, w, h);
@@ -181,8 +222,8 @@ fn classify_pixels(frame: &CaptureFrame, config: &InitConfig, want_static: bool)
     part
 }
 
-/// Calls `visit(x, y, world point, colour)` for every `step`-th pixel of every `step`-th row of the depth
-/// map that is static and is not near a moving one.
+/// Calls `visit(x, y, world point, colour)` for every `step`-th pixel of every `step`-th row of the
+/// depth map that is static and is not near a moving one.
 pub(crate) fn visit_static_pixels(
     frame: &CaptureFrame,
     config: &InitConfig,
@@ -199,8 +240,14 @@ pub(crate) fn visit_static_pixels(
         for x in (0..w).step_by(step) {
             let z = depth[(x, y)];
             if !near_moving[y * w + x] && is_depth(z) && !is_depth_edge(depth, x, y) {
-                let colour = frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))];
-                visit(x, y, camera.unproject(x as f64, y as f64, f64::from(z)), colour);
+                let colour =
+                    frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))];
+                visit(
+                    x,
+                    y,
+                    camera.unproject(x as f64, y as f64, f64::from(z)),
+                    colour,
+                );
             }
         }
     }
@@ -229,7 +276,14 @@ pub(crate) fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<boo
         return vec![false; w * h];
     };
     let (mw, mh) = mask.size();
-    (0..w * h).map(|i| mask.at((2 * (i % w) + 1) * mw / (2 * w), (2 * (i / w) + 1) * mh / (2 * h))).collect()
+    (0..w * h)
+        .map(|i| {
+            mask.at(
+                (2 * (i % w) + 1) * mw / (2 * w),
+                (2 * (i / w) + 1) * mh / (2 * h),
+            )
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! Removes static points that other frames see through.
 //!
-//! Depth that was estimated smears over edges, and each frame smears in a way of its own. A point that hangs in front of what
-//! several other frames see behind it is no surface (docs/spec/optimiser.md 2.6 has the check for tracked points).
+//! Depth that was estimated smears over edges, and each frame smears in a way of its own. A point
+//! that hangs in front of what several other frames see behind it is no surface
+//! (docs/spec/optimiser.md 2.6 has the check for tracked points).
 
 use crate::init::{
     InitConfig, InitError,
@@ -17,8 +18,9 @@ const WITNESSES: usize = 8;
 /// Fewest of them that must see through it.
 const LEAST: u8 = 2;
 
-/// Drops the points that at least [`LEAST`] other frames, and more than agree with them, see through: that are nearer
-/// than the depth there and around by more than `config.free_space` of it. Fails with [`InitError::Stopped`].
+/// Drops the points that at least [`LEAST`] other frames, and more than agree with them, see
+/// through: that are nearer than the depth there and around by more than `config.free_space` of it.
+/// Fails with [`InitError::Stopped`].
 pub(crate) fn clear(
     capture: &Capture,
     static_points: &mut [Pixels],
@@ -32,26 +34,44 @@ pub(crate) fn clear(
     let asked: Vec<Vec<usize>> = (0..frames.len()).map(|at| witnesses(&frames, at)).collect();
     // the same few frames are asked about most
     let all: BTreeSet<usize> = asked.iter().flatten().copied().collect();
-    let all: BTreeMap<usize, Witness> =
-        all.into_par_iter().filter_map(|frame| Some((frame, Witness::of(capture, frame, config)?))).collect();
-    static_points.par_iter_mut().zip(&asked).try_for_each(|(pixels, asked)| {
-        stopped(progress)?;
-        let votes = votes(capture, pixels, asked.iter().filter_map(|frame| all.get(frame)), config.free_space);
-        let mut votes = votes.into_iter();
-        let (w, h) = pixels.mask.size();
-        let kept = &pixels.mask;
-        pixels.mask = CompactMask::from_fn(w, h, |x, y| {
-            kept.at(x, y) && votes.next().is_none_or(|v| v.through < LEAST || v.through <= v.agree)
-        });
-        Ok(())
-    })
+    let all: BTreeMap<usize, Witness> = all
+        .into_par_iter()
+        .filter_map(|frame| Some((frame, Witness::of(capture, frame, config)?)))
+        .collect();
+    static_points
+        .par_iter_mut()
+        .zip(&asked)
+        .try_for_each(|(pixels, asked)| {
+            stopped(progress)?;
+            let votes = votes(
+                capture,
+                pixels,
+                asked.iter().filter_map(|frame| all.get(frame)),
+                config.free_space,
+            );
+            let mut votes = votes.into_iter();
+            let (w, h) = pixels.mask.size();
+            let kept = &pixels.mask;
+            pixels.mask = CompactMask::from_fn(w, h, |x, y| {
+                kept.at(x, y)
+                    && votes
+                        .next()
+                        .is_none_or(|v| v.through < LEAST || v.through <= v.agree)
+            });
+            Ok(())
+        })
 }
 
 /// The frames that are asked about the points of `frames[at]`: evenly spread over the others.
 fn witnesses(frames: &[usize], at: usize) -> Vec<usize> {
-    let others: Vec<usize> = (0..frames.len()).filter(|&i| i != at).map(|i| frames[i]).collect();
+    let others: Vec<usize> = (0..frames.len())
+        .filter(|&i| i != at)
+        .map(|i| frames[i])
+        .collect();
     let count = others.len().min(WITNESSES);
-    (0..count).map(|k| others[(2 * k + 1) * others.len() / (2 * count)]).collect()
+    (0..count)
+        .map(|k| others[(2 * k + 1) * others.len() / (2 * count)])
+        .collect()
 }
 
 /// What other frames say of a point.
@@ -74,8 +94,11 @@ fn votes<'a>(
     };
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
-    let points: Vec<Vector3<f64>> =
-        pixels.mask.set_pixels().map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into())).collect();
+    let points: Vec<Vector3<f64>> = pixels
+        .mask
+        .set_pixels()
+        .map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into()))
+        .collect();
     let mut out = vec![Votes::default(); points.len()];
     for witness in witnesses {
         for (point, votes) in points.iter().zip(&mut out) {
@@ -122,13 +145,23 @@ impl Witness {
                 least[y * width + x] = low;
             }
         }
-        Some(Self { camera: frame.camera.resized(width, height), width, height, depth, least })
+        Some(Self {
+            camera: frame.camera.resized(width, height),
+            width,
+            height,
+            depth,
+            least,
+        })
     }
 
     /// Whether it sees through the point; `false` if it sees the point; `None` if it cannot tell.
     fn says(&self, point: &Vector3<f64>, tolerance: f32) -> Option<bool> {
         let ([u, v], z) = self.camera.project(point);
-        let inside = z > 0.0 && u > -0.5 && v > -0.5 && u < self.width as f64 - 0.5 && v < self.height as f64 - 0.5;
+        let inside = z > 0.0
+            && u > -0.5
+            && v > -0.5
+            && u < self.width as f64 - 0.5
+            && v < self.height as f64 - 0.5;
         if !inside {
             return None;
         }
@@ -148,19 +181,25 @@ impl Witness {
 mod tests {
     use super::clear;
     use crate::init::{InitConfig, cloud::clouds};
-    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Silent, nalgebra::Vector3};
+    use m4_core::{
+        Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Silent, nalgebra::Vector3,
+    };
 
     const SIZE: (usize, usize) = (64, 48);
     const WALL: f64 = 4.0;
     const BOX: f64 = 2.5;
 
-    /// A box in front of a wall from a camera that goes past; `smear` changes the depth of one frame.
+    /// A box in front of a wall from a camera that goes past; `smear` changes the depth of one
+    /// frame.
     fn capture(smear: impl Fn(usize, usize, usize) -> Option<f32>) -> Capture {
         let (w, h) = SIZE;
         let frame = |i: usize| {
             let mut c2w = Se3::identity();
             c2w.translation = Vector3::new(0.1 * i as f64, 0.0, 0.0);
-            let camera = Camera { intrinsics: Intrinsics::centred(w, h, 60.0), c2w };
+            let camera = Camera {
+                intrinsics: Intrinsics::centred(w, h, 60.0),
+                c2w,
+            };
             let depth = |x: usize, y: usize| {
                 let p = camera.unproject(x as f64, y as f64, BOX);
                 let front = (p.x - 0.3).abs() < 0.4 && p.y.abs() < 0.4;
@@ -178,14 +217,26 @@ mod tests {
                 camera_index: None,
             }
         };
-        Capture { frames: (0..6).map(frame).collect(), time_frames: 6, duration_s: None, metric: true, tracks: None }
+        Capture {
+            frames: (0..6).map(frame).collect(),
+            time_frames: 6,
+            duration_s: None,
+            metric: true,
+            tracks: None,
+        }
     }
 
     /// The pixels of frame 2 that are not points.
     fn missing(capture: &Capture, free_space: f32) -> Vec<(usize, usize)> {
-        let config = InitConfig { free_space: 0.0, ..InitConfig::fast() };
+        let config = InitConfig {
+            free_space: 0.0,
+            ..InitConfig::fast()
+        };
         let mut clouds = clouds(capture, &config, &Silent).unwrap();
-        let config = InitConfig { free_space, ..config };
+        let config = InitConfig {
+            free_space,
+            ..config
+        };
         clear(capture, &mut clouds.static_points, &config, &Silent).unwrap();
         let mask = &clouds.static_points[2].mask;
         let all = (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0, i / SIZE.0));

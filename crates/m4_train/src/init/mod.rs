@@ -1,8 +1,8 @@
 //! Initialisation: turns posed frames with depth and motion masks into the initial splats.
 //!
-//! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points apart, replaces the points of
-//! each voxel by their centroid and gives every centroid the size, opacity and time span that the optimiser starts from
-//! (docs/spec/optimiser.md 2).
+//! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points apart,
+//! replaces the points of each voxel by their centroid and gives every centroid the size, opacity
+//! and time span that the optimiser starts from (docs/spec/optimiser.md 2).
 //!
 //! ```text
 //! cloud (depth -> points) -> free_space (what other frames see through goes) -> surface (one of what the frames agree on) -> voxel (points -> centroids) -> write (neighbours -> discs) -> rows

@@ -12,8 +12,8 @@ use crate::init::{
 use m4_core::{Capture, Column, SplatLayout, Splats, nalgebra::Quaternion};
 use std::sync::Arc;
 
-/// Splats that darken or brighten what is behind them, at one keyframe; the colour of a centroid is the
-/// share of light that it takes away or adds.
+/// Splats that darken or brighten what is behind them, at one keyframe; the colour of a centroid is
+/// the share of light that it takes away or adds.
 #[derive(Debug, Default)]
 pub(crate) struct Tints {
     pub darker: Centroids,
@@ -37,18 +37,39 @@ pub(crate) struct Parts {
 }
 
 /// The rows of all parts.
-pub(crate) fn rows(capture: &Capture, config: &InitConfig, parts: Parts) -> Result<FirstSplats, InitError> {
-    let layout = SplatLayout { isotropic: config.isotropic, sh_degree: 0, time_degree: 0 };
+pub(crate) fn rows(
+    capture: &Capture,
+    config: &InitConfig,
+    parts: Parts,
+) -> Result<FirstSplats, InitError> {
+    let layout = SplatLayout {
+        isotropic: config.isotropic,
+        sh_degree: 0,
+        time_degree: 0,
+    };
     let count = |of: fn(&Parts) -> usize| of(&parts);
     let n_bound = count(|p| p.lives.bound.iter().map(Vec::len).sum());
     let n_free = count(|p| p.lives.free.iter().map(Vec::len).sum());
     let n_tracked = count(|p| p.tracked.iter().map(|t| t.points.xyz.len()).sum());
-    let n_tints = count(|p| p.tints.iter().map(|t| t.darker.xyz.len() + t.brighter.xyz.len()).sum());
+    let n_tints = count(|p| {
+        p.tints
+            .iter()
+            .map(|t| t.darker.xyz.len() + t.brighter.xyz.len())
+            .sum()
+    });
     let n_background = parts.static_points.xyz.len() + parts.shell.xyz.len();
     let n_static = if config.static_fade { 0 } else { n_background };
-    let mut splats = Splats::zeros(layout, n_static, n_background - n_static + n_bound + n_free + n_tracked + n_tints);
+    let mut splats = Splats::zeros(
+        layout,
+        n_static,
+        n_background - n_static + n_bound + n_free + n_tracked + n_tints,
+    );
 
-    let mut writer = Writer { splats: &mut splats, config, row: 0 };
+    let mut writer = Writer {
+        splats: &mut splats,
+        config,
+        row: 0,
+    };
     writer.surface(&parts.static_points);
     writer.shell(&parts.shell);
     let fixed = writer.row - parts.shell.filling..writer.row;
@@ -61,7 +82,12 @@ pub(crate) fn rows(capture: &Capture, config: &InitConfig, parts: Parts) -> Resu
     for (i, (t, points)) in parts.dynamic.iter().enumerate() {
         // sizes follow from all points of the keyframe
         let mut own = Splats::zeros(layout, points.xyz.len(), 0);
-        Writer { splats: &mut own, config, row: 0 }.surface(points);
+        Writer {
+            splats: &mut own,
+            config,
+            row: 0,
+        }
+        .surface(points);
         let (bound, free) = (&parts.lives.bound[i], &parts.lives.free[i]);
         copy(&own, bound.iter().map(|b| b.point), &mut splats, bound_row);
         for bound in bound {
@@ -70,7 +96,11 @@ pub(crate) fn rows(capture: &Capture, config: &InitConfig, parts: Parts) -> Resu
             bound_row += 1;
         }
         copy(&own, free.iter().copied(), &mut splats, free_row);
-        let mut writer = Writer { splats: &mut splats, config, row: free_row + free.len() };
+        let mut writer = Writer {
+            splats: &mut splats,
+            config,
+            row: free_row + free.len(),
+        };
         let Paths { velocity, bend } = parts.paths[i].of_points(free);
         writer.velocity(free_row, &velocity);
         let first = writer.row;
@@ -78,7 +108,10 @@ pub(crate) fn rows(capture: &Capture, config: &InitConfig, parts: Parts) -> Resu
         writer.velocity(first, &parts.tracked[i].velocity);
         writer.tint(&parts.tints[i].darker, DARK);
         writer.tint(&parts.tints[i].brighter, BRIGHT);
-        writer.time(free_row, (*t as f32, log_time_sd(capture, config, &times, i)));
+        writer.time(
+            free_row,
+            (*t as f32, log_time_sd(capture, config, &times, i)),
+        );
         if let TimeSpread::KeyframeGaps { .. } = config.time_spread {
             writer.shorten(free_row, &bend);
         }
@@ -101,7 +134,8 @@ fn copy(from: &Splats, rows: impl Iterator<Item = u32> + Clone, to: &mut Splats,
     }
 }
 
-/// Turns a row of keyframe `key` into one of a bound splat; `times` are those of all keyframes, frames.
+/// Turns a row of keyframe `key` into one of a bound splat; `times` are those of all keyframes,
+/// frames.
 fn bind(splats: &mut Splats, row: usize, bound: &Bound, times: &[f64], key: usize) {
     for k in 0..3 {
         splats.column_mut(Column::Mean, k)[row] = bound.mean[k];
@@ -125,13 +159,23 @@ fn bind(splats: &mut Splats, row: usize, bound: &Bound, times: &[f64], key: usiz
     splats.column_mut(Column::LogTimeSd, 0)[i] = (0.5 * length.max(gap(times, key))).ln() as f32;
 }
 
-/// Sizes splats by their neighbours among all of them, of whatever time (Instant4D; docs/spec/optimiser.md 2.5).
+/// Sizes splats by their neighbours among all of them, of whatever time (Instant4D;
+/// docs/spec/optimiser.md 2.5).
 fn space_all(splats: &mut Splats, config: &InitConfig) {
-    let means: Vec<[f32; 3]> =
-        (0..splats.n()).map(|row| [0, 1, 2].map(|k| splats.column(Column::Mean, k)[row])).collect();
-    let own: Vec<f32> = splats.column(Column::LogScale, 0).iter().map(|log| log.exp() / config.scale_factor).collect();
+    let means: Vec<[f32; 3]> = (0..splats.n())
+        .map(|row| [0, 1, 2].map(|k| splats.column(Column::Mean, k)[row]))
+        .collect();
+    let own: Vec<f32> = splats
+        .column(Column::LogScale, 0)
+        .iter()
+        .map(|log| log.exp() / config.scale_factor)
+        .collect();
     let spacing = spacing(&means, &own);
-    for (log, size) in splats.column_mut(Column::LogScale, 0).iter_mut().zip(spacing) {
+    for (log, size) in splats
+        .column_mut(Column::LogScale, 0)
+        .iter_mut()
+        .zip(spacing)
+    {
         *log = (config.scale_factor * size).ln();
     }
 }
@@ -144,12 +188,16 @@ fn static_life(capture: &Capture, config: &InitConfig) -> (f32, f32) {
         TimeSpread::KeyframeGaps { .. } => 3.0,
         TimeSpread::Reference { time_range } => time_range,
     };
-    let middle = if time_range >= 2.0 { last / 3.0 } else { last / 2.0 };
+    let middle = if time_range >= 2.0 {
+        last / 3.0
+    } else {
+        last / 2.0
+    };
     (middle, (last / time_range.sqrt()).ln())
 }
 
-/// Logarithm of the standard deviation in time, frames, of the points of keyframe `i`; `times` are those of all
-/// keyframes, in order.
+/// Logarithm of the standard deviation in time, frames, of the points of keyframe `i`; `times` are
+/// those of all keyframes, in order.
 fn log_time_sd(capture: &Capture, config: &InitConfig, times: &[f64], i: usize) -> f32 {
     match config.time_spread {
         TimeSpread::KeyframeGaps { factor } => (factor * gap(times, i) as f32).ln(),
@@ -160,11 +208,18 @@ fn log_time_sd(capture: &Capture, config: &InitConfig, times: &[f64], i: usize) 
     }
 }
 
-/// Mean of the frames from keyframe `i` to its neighbours in time; 1 for a lone one. Keyframes of the same instant, from another
-/// camera, are no neighbours.
+/// Mean of the frames from keyframe `i` to its neighbours in time; 1 for a lone one. Keyframes of
+/// the same instant, from another camera, are no neighbours.
 fn gap(times: &[f64], i: usize) -> f64 {
-    let before = times[..i].iter().rev().map(|t| times[i] - t).find(|gap| *gap > 0.0);
-    let after = times[i..].iter().map(|t| t - times[i]).find(|gap| *gap > 0.0);
+    let before = times[..i]
+        .iter()
+        .rev()
+        .map(|t| times[i] - t)
+        .find(|gap| *gap > 0.0);
+    let after = times[i..]
+        .iter()
+        .map(|t| t - times[i])
+        .find(|gap| *gap > 0.0);
     match (before, after) {
         (Some(before), Some(after)) => 0.5 * (before + after),
         (Some(gap), None) | (None, Some(gap)) => gap,

@@ -1,5 +1,6 @@
-//! The background sphere: a shell of large, distant splats, so that a view from the side shows a plausible colour instead of black. What it
-//! shows behind surfaces is a guess, which training must not use to explain them (docs/decisions/0020).
+//! The background sphere: a shell of large, distant splats, so that a view from the side shows a
+//! plausible colour instead of black. What it shows behind surfaces is a guess, which training must
+//! not use to explain them (docs/decisions/0020).
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_core::{Capture, nalgebra::Vector3};
@@ -21,15 +22,16 @@ pub(crate) struct Shell {
     pub rgb: Vec<[f32; 3]>,
     /// Standard deviation of each, world units.
     pub sd: f32,
-    /// Number of splats at the end in whose direction every pixel seen has a surface, or none was seen: they only fill gaps.
+    /// Number of splats at the end in whose direction every pixel seen has a surface, or none was
+    /// seen: they only fill gaps.
     pub filling: usize,
 }
 
 /// `count` splats, evenly over a sphere of `radius` around the cameras.
 ///
-/// A cell's colour is the mean of what was seen in its direction: of pixels without a surface (depth 0) where there
-/// were any, else of all. Directions never seen take the distance-weighted mean of the nearest that were. Cells with pixels without a
-/// surface come first.
+/// A cell's colour is the mean of what was seen in its direction: of pixels without a surface
+/// (depth 0) where there were any, else of all. Directions never seen take the distance-weighted
+/// mean of the nearest that were. Cells with pixels without a surface come first.
 pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
     if count == 0 || capture.frames.is_empty() {
         return Shell::default();
@@ -41,7 +43,10 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
     // sums of colours and counts: pixels without a surface, and all pixels
     let mut empty = vec![[0.0f64; 4]; count];
     let mut any = vec![[0.0f64; 4]; count];
-    let frames = capture.frames.iter().step_by(capture.frames.len().div_ceil(FRAMES));
+    let frames = capture
+        .frames
+        .iter()
+        .step_by(capture.frames.len().div_ceil(FRAMES));
     for frame in frames {
         let (w, h) = frame.rgb.size();
         for y in (STEP / 2..h).step_by(STEP) {
@@ -54,7 +59,10 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
                     .execute()
                     .item as usize;
                 let colour = frame.rgb[(x, y)];
-                let nothing = frame.depth.as_ref().is_some_and(|depth| depth.covering((x, y), (w, h)) <= 0.0);
+                let nothing = frame
+                    .depth
+                    .as_ref()
+                    .is_some_and(|depth| depth.covering((x, y), (w, h)) <= 0.0);
                 let add = |sums: &mut [[f64; 4]]| {
                     (0..3).for_each(|k| sums[cell][k] += f64::from(colour[k]) / 255.0);
                     sums[cell][3] += 1.0;
@@ -67,15 +75,26 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
         }
     }
     let mean = |s: &[f64; 4]| (s[3] > 0.0).then(|| [0, 1, 2].map(|k| (s[k] / s[3]) as f32));
-    let seen: Vec<Option<[f32; 3]>> = empty.iter().zip(&any).map(|(e, a)| mean(e).or(mean(a))).collect();
-    let centre: Vector3<f64> =
-        capture.frames.iter().map(|f| f.camera.centre()).sum::<Vector3<f64>>() / capture.frames.len() as f64;
+    let seen: Vec<Option<[f32; 3]>> = empty
+        .iter()
+        .zip(&any)
+        .map(|(e, a)| mean(e).or(mean(a)))
+        .collect();
+    let centre: Vector3<f64> = capture
+        .frames
+        .iter()
+        .map(|f| f.camera.centre())
+        .sum::<Vector3<f64>>()
+        / capture.frames.len() as f64;
     let rgb = spread(&directions, &seen);
-    let (sky, filling): (Vec<usize>, Vec<usize>) = (0..count).partition(|&cell| empty[cell][3] > 0.0);
+    let (sky, filling): (Vec<usize>, Vec<usize>) =
+        (0..count).partition(|&cell| empty[cell][3] > 0.0);
     let cells = || sky.iter().chain(&filling);
     Shell {
         rgb: cells().map(|&cell| rgb[cell]).collect(),
-        xyz: cells().map(|&cell| [0, 1, 2].map(|k| centre[k] as f32 + radius * directions[cell][k])).collect(),
+        xyz: cells()
+            .map(|&cell| [0, 1, 2].map(|k| centre[k] as f32 + radius * directions[cell][k]))
+            .collect(),
         filling: filling.len(),
         sd: 0.75 * radius * (4.0 * std::f32::consts::PI / count as f32).sqrt(),
     }
@@ -91,7 +110,11 @@ fn spread(directions: &[[f32; 3]], seen: &[Option<[f32; 3]>]) -> Vec<[f32; 3]> {
     };
     let fill = |d: &[f32; 3]| {
         let (mut sum, mut total) = ([0.0f32; 3], 0.0f32);
-        for n in tree.query(d).nearest_n::<SquaredEuclidean<f32>>(SOURCES).execute() {
+        for n in tree
+            .query(d)
+            .nearest_n::<SquaredEuclidean<f32>>(SOURCES)
+            .execute()
+        {
             let weight = 1.0 / n.distance.max(1e-6);
             let rgb = seen[known[n.item as usize]].unwrap_or_default();
             (0..3).for_each(|k| sum[k] += weight * rgb[k]);
@@ -99,7 +122,11 @@ fn spread(directions: &[[f32; 3]], seen: &[Option<[f32; 3]>]) -> Vec<[f32; 3]> {
         }
         sum.map(|v| v / total.max(1e-6))
     };
-    directions.iter().zip(seen).map(|(d, seen)| seen.unwrap_or_else(|| fill(d))).collect()
+    directions
+        .iter()
+        .zip(seen)
+        .map(|(d, seen)| seen.unwrap_or_else(|| fill(d)))
+        .collect()
 }
 
 /// Directions evenly over the sphere (golden-angle spiral).
@@ -109,7 +136,11 @@ fn fibonacci(count: usize) -> Vec<[f32; 3]> {
         .map(|i| {
             let y = 1.0 - 2.0 * (i as f64 + 0.5) / count as f64;
             let (ring, angle) = ((1.0 - y * y).sqrt(), golden * i as f64);
-            [(ring * angle.cos()) as f32, y as f32, (ring * angle.sin()) as f32]
+            [
+                (ring * angle.cos()) as f32,
+                y as f32,
+                (ring * angle.sin()) as f32,
+            ]
         })
         .collect()
 }
@@ -124,7 +155,11 @@ mod tests {
         let points = fibonacci(400);
         let mean: [f32; 3] = [0, 1, 2].map(|k| points.iter().map(|p| p[k]).sum::<f32>() / 400.0);
         assert!(mean.iter().all(|m| m.abs() < 0.01), "{mean:?}");
-        assert!(points.iter().all(|p| (p.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5));
+        assert!(
+            points
+                .iter()
+                .all(|p| (p.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5)
+        );
     }
 
     #[test]
@@ -132,16 +167,29 @@ mod tests {
         // left half red wall, right half blue sky
         let frame = CaptureFrame {
             name: "0".to_owned(),
-            camera: Camera { intrinsics: Intrinsics::centred(64, 64, 40.0), c2w: Se3::identity() },
+            camera: Camera {
+                intrinsics: Intrinsics::centred(64, 64, 40.0),
+                c2w: Se3::identity(),
+            },
             t: 0.0,
-            rgb: Plane::from_fn(64, 64, |x, _| if x < 32 { [255, 0, 0] } else { [0, 0, 255] }),
+            rgb: Plane::from_fn(
+                64,
+                64,
+                |x, _| if x < 32 { [255, 0, 0] } else { [0, 0, 255] },
+            ),
             depth: Some(Plane::from_fn(64, 64, |x, _| if x < 32 { 2.0 } else { 0.0 }).into()),
             mask: None,
             motion: None,
             instances: None,
             camera_index: None,
         };
-        let capture = Capture { frames: vec![frame], time_frames: 1, duration_s: None, metric: true, tracks: None };
+        let capture = Capture {
+            frames: vec![frame],
+            time_frames: 1,
+            duration_s: None,
+            metric: true,
+            tracks: None,
+        };
         let shell = shell(&capture, 1000, 10.0);
         // within the view of the right half, and nowhere else, pixels without a surface were seen
         let sky = shell.xyz.len() - shell.filling;

@@ -1,5 +1,5 @@
-//! Merges what several frames say of one surface: estimated depth of each frame puts it at a place of its own, and voxels would keep every
-//! layer, so that a limited number of splats covers less.
+//! Merges what several frames say of one surface: estimated depth of each frame puts it at a place
+//! of its own, and voxels would keep every layer, so that a limited number of splats covers less.
 
 use crate::init::{
     cloud::{Cloud, Pixels},
@@ -35,18 +35,30 @@ impl Sum {
     }
 }
 
-/// Merges the points of `pixels`, frame by frame from the middle outwards: a point at the depth of one that is known at its pixel or beside is averaged
-/// into that one; the others become points. Fails with [`InitError::Stopped`].
-pub(crate) fn surface(capture: &Capture, pixels: &[Pixels], progress: &dyn Progress) -> Result<Surface, InitError> {
+/// Merges the points of `pixels`, frame by frame from the middle outwards: a point at the depth of
+/// one that is known at its pixel or beside is averaged into that one; the others become points.
+/// Fails with [`InitError::Stopped`].
+pub(crate) fn surface(
+    capture: &Capture,
+    pixels: &[Pixels],
+    progress: &dyn Progress,
+) -> Result<Surface, InitError> {
     let mut sums: Vec<Sum> = Vec::new();
     for at in outwards(pixels.len()) {
         stopped(progress)?;
-        add(&View::of(capture, &pixels[at]), &pixels[at].cloud(capture), &pixels[at], &mut sums);
+        add(
+            &View::of(capture, &pixels[at]),
+            &pixels[at].cloud(capture),
+            &pixels[at],
+            &mut sums,
+        );
     }
     let mut out = Surface::default();
     for sum in &sums {
         out.cloud.xyz.push(sum.mean().map(|v| v as f32).into());
-        out.cloud.rgb.push((sum.rgb / sum.n).map(|v| v.round() as u8).into());
+        out.cloud
+            .rgb
+            .push((sum.rgb / sum.n).map(|v| v.round() as u8).into());
         out.count.push(sum.n as f32);
     }
     Ok(out)
@@ -63,9 +75,16 @@ fn add(view: &View, cloud: &Cloud, pixels: &Pixels, sums: &mut Vec<Sum>) {
     let seen = view.seen(sums);
     let at: Vec<(usize, usize)> = pixels.mask.set_pixels().collect();
     let depth = |p: &[f32; 3]| view.camera.project(&Vector3::from(p.map(f64::from))).1 as f32;
-    let known: Vec<u32> = at.par_iter().zip(&cloud.xyz).map(|(&at, p)| seen.near(at, depth(p))).collect();
+    let known: Vec<u32> = at
+        .par_iter()
+        .zip(&cloud.xyz)
+        .map(|(&at, p)| seen.near(at, depth(p)))
+        .collect();
     for ((known, p), rgb) in known.into_iter().zip(&cloud.xyz).zip(&cloud.rgb) {
-        let (xyz, rgb) = (Vector3::from(p.map(f64::from)), Vector3::from(rgb.map(f64::from)));
+        let (xyz, rgb) = (
+            Vector3::from(p.map(f64::from)),
+            Vector3::from(rgb.map(f64::from)),
+        );
         match sums.get_mut(known as usize) {
             None => sums.push(Sum { xyz, rgb, n: 1.0 }),
             Some(sum) => {
@@ -86,7 +105,10 @@ struct View {
 impl View {
     fn of(capture: &Capture, pixels: &Pixels) -> Self {
         let size = pixels.mask.size();
-        Self { camera: capture.frames[pixels.frame].camera.resized(size.0, size.1), size }
+        Self {
+            camera: capture.frames[pixels.frame].camera.resized(size.0, size.1),
+            size,
+        }
     }
 
     /// The pixel that a place is seen in, and its z-depth; `None` outside of the image.
@@ -98,9 +120,12 @@ impl View {
 
     /// The points inside the image, by pixel; those that others hide, too.
     fn seen(&self, sums: &[Sum]) -> Seen {
-        let at: Vec<Option<(usize, f32)>> = sums.par_iter().map(|sum| self.pixel(&sum.mean())).collect();
+        let at: Vec<Option<(usize, f32)>> =
+            sums.par_iter().map(|sum| self.pixel(&sum.mean())).collect();
         let mut start = vec![0u32; self.size.0 * self.size.1 + 1];
-        at.iter().flatten().for_each(|(pixel, _)| start[pixel + 1] += 1);
+        at.iter()
+            .flatten()
+            .for_each(|(pixel, _)| start[pixel + 1] += 1);
         (1..start.len()).for_each(|p| start[p] += start[p - 1]);
         let mut points = vec![(NONE, 0.0); *start.last().unwrap_or(&0) as usize];
         let mut next = start.clone();
@@ -108,7 +133,11 @@ impl View {
             points[next[pixel] as usize] = (k, z);
             next[pixel] += 1;
         }
-        Seen { size: self.size, start, points }
+        Seen {
+            size: self.size,
+            start,
+            points,
+        }
     }
 }
 
@@ -122,13 +151,16 @@ struct Seen {
 }
 
 impl Seen {
-    /// The point in a pixel or beside it whose depth is nearest to `z`, if it is of the same surface.
+    /// The point in a pixel or beside it whose depth is nearest to `z`, if it is of the same
+    /// surface.
     fn near(&self, (x, y): (usize, usize), z: f32) -> u32 {
         let (w, h) = self.size;
         let (mut best, mut least) = (NONE, SAME * z);
         for row in y.saturating_sub(1)..(y + 2).min(h) {
             let (first, end) = (row * w + x.saturating_sub(1), row * w + (x + 2).min(w));
-            for &(point, depth) in &self.points[self.start[first] as usize..self.start[end] as usize] {
+            for &(point, depth) in
+                &self.points[self.start[first] as usize..self.start[end] as usize]
+            {
                 let difference = (depth - z).abs();
                 if difference < least {
                     (best, least) = (point, difference);
@@ -143,7 +175,10 @@ impl Seen {
 mod tests {
     use super::surface;
     use crate::init::cloud::Pixels;
-    use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3, Silent, nalgebra::Vector3};
+    use m4_core::{
+        Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3, Silent,
+        nalgebra::Vector3,
+    };
 
     const SIZE: (usize, usize) = (64, 48);
     const WALL: f32 = 4.0;
@@ -155,7 +190,10 @@ mod tests {
             name: format!("{i:03}"),
             camera: Camera {
                 intrinsics: Intrinsics::centred(w, h, 60.0),
-                c2w: Se3 { translation: Vector3::new(0.02 * i as f64, 0.0, 0.0), ..Se3::identity() },
+                c2w: Se3 {
+                    translation: Vector3::new(0.02 * i as f64, 0.0, 0.0),
+                    ..Se3::identity()
+                },
             },
             t: i as f64,
             rgb: Plane::filled(w, h, [100 + 10 * i as u8; 3]),
@@ -166,8 +204,17 @@ mod tests {
             camera_index: None,
         };
         let frames: Vec<CaptureFrame> = (0..7).map(frame).collect();
-        let capture = Capture { frames, time_frames: 7, duration_s: None, metric: true, tracks: None };
-        let all = |frame| Pixels { frame, mask: CompactMask::from_fn(w, h, |_, _| true) };
+        let capture = Capture {
+            frames,
+            time_frames: 7,
+            duration_s: None,
+            metric: true,
+            tracks: None,
+        };
+        let all = |frame| Pixels {
+            frame,
+            mask: CompactMask::from_fn(w, h, |_, _| true),
+        };
         surface(&capture, &(0..7).map(all).collect::<Vec<_>>(), &Silent).unwrap()
     }
 
@@ -175,19 +222,41 @@ mod tests {
     fn frames_that_differ_a_little_make_one_surface_in_the_middle_of_theirs() {
         let found = points(|i, _| [0.99, 1.01, 0.995, 1.0, 1.005, 0.99, 1.01][i]);
         let one_frame = SIZE.0 * SIZE.1;
-        assert!((one_frame * 9 / 10..one_frame * 5 / 4).contains(&found.cloud.xyz.len()), "{}", found.cloud.xyz.len());
-        let many = found.count.iter().zip(&found.cloud.xyz).filter(|(n, _)| **n >= 6.0);
+        assert!(
+            (one_frame * 9 / 10..one_frame * 5 / 4).contains(&found.cloud.xyz.len()),
+            "{}",
+            found.cloud.xyz.len()
+        );
+        let many = found
+            .count
+            .iter()
+            .zip(&found.cloud.xyz)
+            .filter(|(n, _)| **n >= 6.0);
         let errors: Vec<f32> = many.map(|(_, p)| (p[2] - WALL).abs() / WALL).collect();
         let mean = errors.iter().sum::<f32>() / errors.len() as f32;
         // each frame alone is 0.0064 off on average
-        assert!(errors.len() > one_frame / 2 && mean < 0.003, "{mean} of {}", errors.len());
-        assert!(found.cloud.rgb.iter().any(|c| c[0] == 130), "the mean colour of all frames");
+        assert!(
+            errors.len() > one_frame / 2 && mean < 0.003,
+            "{mean} of {}",
+            errors.len()
+        );
+        assert!(
+            found.cloud.rgb.iter().any(|c| c[0] == 130),
+            "the mean colour of all frames"
+        );
     }
 
     #[test]
     fn surfaces_apart_stay_apart() {
         let found = points(|_, x| if (20..30).contains(&x) { 0.8 } else { 1.0 });
-        let at = |z: f32| found.cloud.xyz.iter().filter(|p| (p[2] - z).abs() < 1e-3 * WALL).count();
+        let at = |z: f32| {
+            found
+                .cloud
+                .xyz
+                .iter()
+                .filter(|p| (p[2] - z).abs() < 1e-3 * WALL)
+                .count()
+        };
         let (near, far) = (at(0.8 * WALL), at(WALL));
         assert!(near >= 10 * SIZE.1 && far >= 50 * SIZE.1, "{near}, {far}");
         assert_eq!(near + far, found.cloud.xyz.len());

@@ -1,8 +1,10 @@
-//! Adds tracked points to those of the frames: the completed cloud (Minute4D sec. 3.2; docs/spec/optimiser.md 2.6).
+//! Adds tracked points to those of the frames: the completed cloud (Minute4D sec. 3.2;
+//! docs/spec/optimiser.md 2.6).
 //!
-//! A track knows where its point is in frames that cannot see it. There is one point a track and keyframe, of the time of that
-//! keyframe; it is left out where it is not to be trusted, floats in front of what the frame sees, no camera of the clip looks there, or the
-//! track jumps. Points of the frames are better where both exist: tracks fill only cells that are empty in that keyframe.
+//! A track knows where its point is in frames that cannot see it. There is one point a track and
+//! keyframe, of the time of that keyframe; it is left out where it is not to be trusted, floats in
+//! front of what the frame sees, no camera of the clip looks there, or the track jumps. Points of
+//! the frames are better where both exist: tracks fill only cells that are empty in that keyframe.
 
 use crate::init::{
     InitConfig, VelocityInit,
@@ -14,16 +16,20 @@ use rayon::prelude::*;
 
 /// Cameras of the clip that are asked whether they look at a place.
 const CAMERAS: usize = 32;
-/// Places that are trusted less than this are dropped where they lie outside the range of depths that frames see (our rule).
+/// Places that are trusted less than this are dropped where they lie outside the range of depths
+/// that frames see (our rule).
 const LEAST_CONFIDENCE: f32 = 0.5;
-/// Places in front of what the frame sees by more than this share of the depth are dropped (docs/spec/optimiser.md 2.6: 5 %).
+/// Places in front of what the frame sees by more than this share of the depth are dropped
+/// (docs/spec/optimiser.md 2.6: 5 %).
 const FREE_SPACE: f32 = 0.05;
-/// Places that a track reaches or leaves by a step of more than this many times its median step are dropped (our rule).
+/// Places that a track reaches or leaves by a step of more than this many times its median step are
+/// dropped (our rule).
 const JUMP: f32 = 8.0;
 /// A step shorter than this share of the median depth is no jump.
 const SMALL_STEP: f32 = 0.01;
 
-/// A place behind the depth map by more than this share of the depth is hidden (docs/decisions/0004).
+/// A place behind the depth map by more than this share of the depth is hidden
+/// (docs/decisions/0004).
 const HIDDEN: f32 = 0.02;
 
 /// Points of tracks at a keyframe.
@@ -58,13 +64,20 @@ struct Sample {
 /// For every keyframe the points of tracks that it lacks.
 pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Tracked> {
     let none = || vec![Tracked::default(); known.frames.len()];
-    let Some(tracks) = known.capture.tracks.as_ref().filter(|_| config.tracked.enabled) else {
+    let Some(tracks) = known
+        .capture
+        .tracks
+        .as_ref()
+        .filter(|_| config.tracked.enabled)
+    else {
         return none();
     };
     let every = known.capture.frames.len().div_ceil(CAMERAS).max(1);
     let cameras: Vec<&CaptureFrame> = known.capture.frames.iter().step_by(every).collect();
-    let summaries: Vec<TrackSummary> =
-        (0..tracks.count()).into_par_iter().map(|k| TrackSummary::of(known.capture, tracks, k)).collect();
+    let summaries: Vec<TrackSummary> = (0..tracks.count())
+        .into_par_iter()
+        .map(|k| TrackSummary::of(known.capture, tracks, k))
+        .collect();
     let mut out: Vec<Vec<Sample>> = (0..known.frames.len())
         .into_par_iter()
         .map(|i| samples(known, tracks, &summaries, &cameras, i, config))
@@ -80,7 +93,9 @@ pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Tracked> {
             });
         }
     }
-    out.into_iter().map(|samples| collect(samples, known.grid)).collect()
+    out.into_iter()
+        .map(|samples| collect(samples, known.grid))
+        .collect()
 }
 
 fn collect(samples: Vec<Sample>, grid: &Grid) -> Tracked {
@@ -109,10 +124,17 @@ impl TrackSummary {
         let places: Vec<(usize, [f32; 3])> = places.collect();
         let mut steps: Vec<f32> = places.windows(2).map(|w| speed(w[0], w[1])).collect();
         let step = m4_core::median(&mut steps).unwrap_or(0.0);
-        let seen = places.iter().filter(|(t, _)| tracks.visible()[t * tracks.count() + track]);
-        let colours: Vec<[u8; 3]> = seen.filter_map(|&(t, p)| colour(&capture.frames[t], p)).collect();
+        let seen = places
+            .iter()
+            .filter(|(t, _)| tracks.visible()[t * tracks.count() + track]);
+        let colours: Vec<[u8; 3]> = seen
+            .filter_map(|&(t, p)| colour(&capture.frames[t], p))
+            .collect();
         let given = || Some(tracks.colours()?[track].map(|c| f32::from(c) / 255.0));
-        Self { step, rgb: robust_mean(&colours).or_else(given) }
+        Self {
+            step,
+            rgb: robust_mean(&colours).or_else(given),
+        }
     }
 }
 
@@ -127,7 +149,12 @@ fn colour(frame: &CaptureFrame, p: [f32; 3]) -> Option<[u8; 3]> {
     let ([u, v], z) = frame.camera.project(&p.map(f64::from).into());
     let (w, h) = frame.rgb.size();
     let inside = z > 0.0 && u > -0.5 && v > -0.5 && u < w as f64 - 0.5 && v < h as f64 - 0.5;
-    inside.then(|| frame.rgb[(((u + 0.5) as usize).min(w - 1), ((v + 0.5) as usize).min(h - 1))])
+    inside.then(|| {
+        frame.rgb[(
+            ((u + 0.5) as usize).min(w - 1),
+            ((v + 0.5) as usize).min(h - 1),
+        )]
+    })
 }
 
 /// The mean of the middle half of each channel, 0..1.
@@ -169,7 +196,12 @@ fn samples(
             continue;
         }
         let velocity = velocities.of(k).unwrap_or([0.0; 3]);
-        out.push(Sample { key, xyz, rgb, velocity });
+        out.push(Sample {
+            key,
+            xyz,
+            rgb,
+            velocity,
+        });
     }
     // a stable sort, so that samples of a cell stay in the order of their tracks
     out.sort_by_key(|s| s.key);
@@ -177,9 +209,15 @@ fn samples(
 }
 
 fn mean(cell: &[Sample]) -> Sample {
-    let of =
-        |f: fn(&Sample) -> [f32; 3]| [0, 1, 2].map(|k| cell.iter().map(|s| f(s)[k]).sum::<f32>() / cell.len() as f32);
-    Sample { key: cell[0].key, xyz: of(|s| s.xyz), rgb: of(|s| s.rgb), velocity: of(|s| s.velocity) }
+    let of = |f: fn(&Sample) -> [f32; 3]| {
+        [0, 1, 2].map(|k| cell.iter().map(|s| f(s)[k]).sum::<f32>() / cell.len() as f32)
+    };
+    Sample {
+        key: cell[0].key,
+        xyz: of(|s| s.xyz),
+        rgb: of(|s| s.rgb),
+        velocity: of(|s| s.velocity),
+    }
 }
 
 /// Whether a place of a track is to be believed.
@@ -202,15 +240,23 @@ fn is_plausible(
     if colour(frame, xyz).is_none() && !cameras.iter().any(|c| colour(c, xyz).is_some()) {
         return false;
     }
-    let before = (0..at).rev().find_map(|t| Some((t, tracks.place(t, track)?)));
+    let before = (0..at)
+        .rev()
+        .find_map(|t| Some((t, tracks.place(t, track)?)));
     let after = (at + 1..tracks.frames()).find_map(|t| Some((t, tracks.place(t, track)?)));
     let most = (JUMP * summary.step).max(SMALL_STEP * known.median_depth as f32);
-    [before, after].into_iter().flatten().all(|other| speed((at, xyz), other) <= most)
+    [before, after]
+        .into_iter()
+        .flatten()
+        .all(|other| speed((at, xyz), other) <= most)
 }
 
-/// Whether a frame sees something farther where the place is, by more than [`FREE_SPACE`] of its depth, in all of 3x3 pixels.
+/// Whether a frame sees something farther where the place is, by more than [`FREE_SPACE`] of its
+/// depth, in all of 3x3 pixels.
 fn floats(frame: &CaptureFrame, p: [f32; 3]) -> bool {
-    let Some(depth) = &frame.depth else { return false };
+    let Some(depth) = &frame.depth else {
+        return false;
+    };
     let (w, h) = depth.size();
     let ([u, v], z) = frame.camera.resized(w, h).project(&p.map(f64::from).into());
     let inside = z > 0.0 && u > -0.5 && v > -0.5 && u < w as f64 - 0.5 && v < h as f64 - 0.5;
@@ -220,8 +266,12 @@ fn floats(frame: &CaptureFrame, p: [f32; 3]) -> bool {
     let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
     let rows = y.saturating_sub(1)..(y + 2).min(h);
     let around = rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
-    let known = around.map(|(x, y)| depth.at(x, y)).filter(|d| d.is_finite() && *d > 0.0);
-    known.min_by(f32::total_cmp).is_some_and(|least| z < f64::from(least * (1.0 - FREE_SPACE)))
+    let known = around
+        .map(|(x, y)| depth.at(x, y))
+        .filter(|d| d.is_finite() && *d > 0.0);
+    known
+        .min_by(f32::total_cmp)
+        .is_some_and(|least| z < f64::from(least * (1.0 - FREE_SPACE)))
 }
 
 /// How tracks move at a keyframe.
@@ -249,7 +299,8 @@ impl<'a> Velocities<'a> {
         }
     }
 
-    /// World units per frame: from half a gap between keyframes before to half a gap after, as far as the track is known there.
+    /// World units per frame: from half a gap between keyframes before to half a gap after, as far
+    /// as the track is known there.
     fn of(&self, track: usize) -> Option<[f32; 3]> {
         if self.zero {
             return None;

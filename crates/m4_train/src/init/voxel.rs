@@ -37,7 +37,8 @@ pub(crate) struct Grid {
     origin: [f32; 3],
     /// Constant edge, or edge at unit distance.
     unit: f32,
-    /// Cameras whose nearest counts: four a row, one component after the other; empty for a constant edge.
+    /// Cameras whose nearest counts: four a row, one component after the other; empty for a
+    /// constant edge.
     centres: Vec<[[f32; LANES]; 3]>,
     /// Edge of each level, the lowest first.
     edges: Vec<f32>,
@@ -64,8 +65,9 @@ impl Grid {
         };
         let unit = unit as f32;
         // the last camera fills the last row
-        let row =
-            |row: &[[f32; 3]]| std::array::from_fn(|k| std::array::from_fn(|lane| row[lane.min(row.len() - 1)][k]));
+        let row = |row: &[[f32; 3]]| {
+            std::array::from_fn(|k| std::array::from_fn(|lane| row[lane.min(row.len() - 1)][k]))
+        };
         let edge = |level: i16| unit * (0.5 * f32::from(level)).exp2();
         Self {
             origin,
@@ -121,7 +123,10 @@ impl Grid {
     /// The cell and the index of each point, sorted by cell, points of a cell in order.
     fn sorted_keys(&self, cloud: &Cloud) -> Vec<((i16, u64), u32)> {
         let keyed = |i: u32| (self.key(cloud.xyz[i as usize]), i);
-        let mut keys: Vec<_> = (0..cloud.xyz.len() as u32).into_par_iter().map(keyed).collect();
+        let mut keys: Vec<_> = (0..cloud.xyz.len() as u32)
+            .into_par_iter()
+            .map(keyed)
+            .collect();
         // The index makes every entry unique, so an unstable sort has one result.
         keys.par_sort_unstable();
         keys
@@ -136,7 +141,10 @@ impl Grid {
     pub fn occupied_by<T: Sync>(&self, parts: &[T], cloud: impl Fn(&T) -> Cloud + Sync) -> usize {
         let mut all: Vec<(i16, u64)> = Vec::new();
         for batch in parts.chunks(BATCH) {
-            let found: Vec<_> = batch.par_iter().map(|part| self.cells(&cloud(part))).collect();
+            let found: Vec<_> = batch
+                .par_iter()
+                .map(|part| self.cells(&cloud(part)))
+                .collect();
             all.extend(found.iter().flatten());
             all.par_sort_unstable();
             all.dedup();
@@ -152,7 +160,12 @@ impl Grid {
     /// The same of points that count `weight` each.
     pub fn merge_weighted(&self, cloud: &Cloud, weight: &[f32]) -> Centroids {
         let sum = |cell: &[((i16, u64), u32)]| {
-            let mut sum = Sum { key: cell[0].0, xyz: [0.0; 3], rgb: [0.0; 3], n: 0.0 };
+            let mut sum = Sum {
+                key: cell[0].0,
+                xyz: [0.0; 3],
+                rgb: [0.0; 3],
+                n: 0.0,
+            };
             for i in cell.iter().map(|entry| entry.1 as usize) {
                 let n = f64::from(weight[i]);
                 for k in 0..3 {
@@ -163,11 +176,18 @@ impl Grid {
             }
             sum
         };
-        self.centroids(&self.sorted_keys(cloud).chunk_by(|a, b| a.0 == b.0).map(sum).collect::<Vec<_>>())
+        self.centroids(
+            &self
+                .sorted_keys(cloud)
+                .chunk_by(|a, b| a.0 == b.0)
+                .map(sum)
+                .collect::<Vec<_>>(),
+        )
     }
 
-    /// The centroid of each cell that holds a point of any of `parts`, which `cloud` makes points of: the bits that
-    /// [`merge`](Self::merge) makes of all their points in a row, without all of them in memory at once.
+    /// The centroid of each cell that holds a point of any of `parts`, which `cloud` makes points
+    /// of: the bits that [`merge`](Self::merge) makes of all their points in a row, without all of
+    /// them in memory at once.
     pub fn merge_all<T: Sync>(&self, parts: &[T], cloud: impl Fn(&T) -> Cloud + Sync) -> Centroids {
         let mut all = Vec::new();
         for batch in parts.chunks(BATCH) {
@@ -177,7 +197,9 @@ impl Grid {
                 (cloud, keys)
             };
             let found: Vec<_> = batch.par_iter().map(sorted).collect();
-            all = found.iter().fold(all, |all, (cloud, keys)| added(&all, cloud, keys));
+            all = found
+                .iter()
+                .fold(all, |all, (cloud, keys)| added(&all, cloud, keys));
         }
         self.centroids(&all)
     }
@@ -204,7 +226,8 @@ struct Sum {
     n: f64,
 }
 
-/// `sums`, sorted by cell, with the points of one more cloud, whose cells are `keys`, added one after the other.
+/// `sums`, sorted by cell, with the points of one more cloud, whose cells are `keys`, added one
+/// after the other.
 fn added(sums: &[Sum], cloud: &Cloud, keys: &[((i16, u64), u32)]) -> Vec<Sum> {
     let mut out = Vec::with_capacity(sums.len());
     let mut rest = sums.iter().copied().peekable();
@@ -213,7 +236,12 @@ fn added(sums: &[Sum], cloud: &Cloud, keys: &[((i16, u64), u32)]) -> Vec<Sum> {
         while let Some(sum) = rest.next_if(|sum| sum.key < key) {
             out.push(sum);
         }
-        let mut sum = rest.next_if(|sum| sum.key == key).unwrap_or(Sum { key, xyz: [0.0; 3], rgb: [0.0; 3], n: 0.0 });
+        let mut sum = rest.next_if(|sum| sum.key == key).unwrap_or(Sum {
+            key,
+            xyz: [0.0; 3],
+            rgb: [0.0; 3],
+            n: 0.0,
+        });
         for &(_, i) in cell {
             for k in 0..3 {
                 sum.xyz[k] += f64::from(cloud.xyz[i as usize][k]);
@@ -227,7 +255,8 @@ fn added(sums: &[Sum], cloud: &Cloud, keys: &[((i16, u64), u32)]) -> Vec<Sum> {
     out
 }
 
-/// The smallest number of pixels (at least `least`) whose grid has at most `target` cells, by `count`.
+/// The smallest number of pixels (at least `least`) whose grid has at most `target` cells, by
+/// `count`.
 ///
 /// Cells of a surface go with the inverse square of the edge, so a few secant steps suffice; the
 /// result is within about 3 % of the target, never above it.
@@ -271,7 +300,15 @@ mod tests {
     fn noise(n: usize) -> Cloud {
         let mut rng = CounterRng::new(1, 2, 3);
         Cloud {
-            xyz: (0..n).map(|_| [rng.uniform() as f32 * 4.0 - 2.0, rng.uniform() as f32 * 3.0, 2.0]).collect(),
+            xyz: (0..n)
+                .map(|_| {
+                    [
+                        rng.uniform() as f32 * 4.0 - 2.0,
+                        rng.uniform() as f32 * 3.0,
+                        2.0,
+                    ]
+                })
+                .collect(),
             rgb: (0..n).map(|i| [(i % 256) as u8, 7, 200]).collect(),
         }
     }
@@ -293,10 +330,23 @@ mod tests {
 
     #[test]
     fn proportional_cells_grow_with_the_distance() {
-        let grid = Grid::new(CellSize::DepthProportional, 2.0, 400.0, 3.0, &[[0.0, 0.0, 0.0]], [0.0; 3]);
-        let cloud = Cloud { xyz: vec![[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]], rgb: vec![[0; 3]; 2] };
+        let grid = Grid::new(
+            CellSize::DepthProportional,
+            2.0,
+            400.0,
+            3.0,
+            &[[0.0, 0.0, 0.0]],
+            [0.0; 3],
+        );
+        let cloud = Cloud {
+            xyz: vec![[0.0, 0.0, 1.0], [0.0, 0.0, 8.0]],
+            rgb: vec![[0; 3]; 2],
+        };
         let edge = grid.merge(&cloud).edge;
-        assert!((edge[0] - 0.005).abs() < 1e-6 && (edge[1] - 0.04).abs() < 1e-6, "{edge:?}");
+        assert!(
+            (edge[0] - 0.005).abs() < 1e-6 && (edge[1] - 0.04).abs() < 1e-6,
+            "{edge:?}"
+        );
     }
 
     #[test]
@@ -306,9 +356,15 @@ mod tests {
         for target in [300, 5_000, 60_000] {
             let pixels = pixels_for(target, 0.1, |p| grid(p).occupied(&cloud));
             let n = grid(pixels).occupied(&cloud);
-            assert!(n <= target && n * 10 > target * 8, "{n} cells where at most {target} were asked");
+            assert!(
+                n <= target && n * 10 > target * 8,
+                "{n} cells where at most {target} were asked"
+            );
         }
-        assert_eq!(pixels_for(1_000_000, 0.1, |p| grid(p).occupied(&cloud)), 0.1);
+        assert_eq!(
+            pixels_for(1_000_000, 0.1, |p| grid(p).occupied(&cloud)),
+            0.1
+        );
     }
 
     #[test]
@@ -327,14 +383,20 @@ mod tests {
             assert_eq!(grid.occupied_by(&parts, part), grid.occupied(&whole));
         }
         let grid = Grid::new(CellSize::Constant, 1.0, 100.0, 2.0, &[], [0.0; 3]);
-        assert_eq!(grid.merge_all(&parts[..0], part), grid.merge(&Cloud::default()));
+        assert_eq!(
+            grid.merge_all(&parts[..0], part),
+            grid.merge(&Cloud::default())
+        );
     }
 
     #[test]
     fn threads_do_not_change_the_result() {
         let grid = Grid::new(CellSize::Constant, 3.0, 100.0, 2.0, &[], [0.0; 3]);
         let run = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
             let parts: Vec<usize> = (0..9).collect();
             pool.install(|| grid.merge_all(&parts, |&i| noise(5_000 + i)))
         };

@@ -20,16 +20,20 @@ const SHELL_OPACITY: f32 = 0.9;
 /// Splats of standard deviation 0.75 of their spacing cover each place `2 pi 0.75^2` times.
 const COVER: f32 = 3.5;
 
-/// Neighbours, the point itself among them, whose spread gives a splat its axes and its standard deviations: a disc on the
-/// surface (our rule; measured: +1 dB on whole held-out views, +0.5 dB inside moving parts over spheres; docs/decisions/0004).
+/// Neighbours, the point itself among them, whose spread gives a splat its axes and its standard
+/// deviations: a disc on the surface (our rule; measured: +1 dB on whole held-out views, +0.5 dB
+/// inside moving parts over spheres; docs/decisions/0004).
 const DISC_NEIGHBOURS: usize = 9;
-/// Thickness of a disc: least standard deviation in units of the distance to the three nearest neighbours (docs/decisions/0004).
+/// Thickness of a disc: least standard deviation in units of the distance to the three nearest
+/// neighbours (docs/decisions/0004).
 const DISC_THICKNESS: f32 = 0.05;
 /// A disc is at most this much longer than a sphere would be wide.
 const MOST_STRETCHED: f32 = 3.0;
-/// Least share of a lifetime that is kept where the path bends: splats of neighbouring keyframes must cover the time between them.
+/// Least share of a lifetime that is kept where the path bends: splats of neighbouring keyframes
+/// must cover the time between them.
 const SHORTEST: f32 = 0.5;
-/// Largest standard deviation, in voxel edges: an isolated point must not become a cloud (our rule).
+/// Largest standard deviation, in voxel edges: an isolated point must not become a cloud (our
+/// rule).
 const MOST_EDGES: f32 = 3.0;
 
 /// Fills rows one after the other.
@@ -58,7 +62,8 @@ impl Writer<'_> {
         self.row += 1;
     }
 
-    /// Points of a surface: spheres as large as their spacing, or discs as their neighbours are spread.
+    /// Points of a surface: spheres as large as their spacing, or discs as their neighbours are
+    /// spread.
     pub fn surface(&mut self, points: &Centroids) {
         let config = self.config;
         let first = self.row;
@@ -75,7 +80,9 @@ impl Writer<'_> {
             let thinnest = DISC_THICKNESS * size[i];
             let longest = (MOST_STRETCHED * config.scale_factor * size[i]).max(thinnest);
             for k in 0..3 {
-                let sd = (config.scale_factor * spread.sd[k]).clamp(thinnest, longest).min(largest(i));
+                let sd = (config.scale_factor * spread.sd[k])
+                    .clamp(thinnest, longest)
+                    .min(largest(i));
                 self.splats.column_mut(Column::LogScale, k)[first + i] = sd.ln();
             }
             for k in 0..4 {
@@ -107,16 +114,20 @@ impl Writer<'_> {
         self.splats.column_mut(Column::LogTimeSd, 0)[rows].fill(log_sd);
     }
 
-    /// Shortens the lifetime of the rows from `first` on: a splat follows a straight line, and within one standard deviation in time
-    /// it should leave its path, which bends away by `bend` until the next keyframe, by its own size at most. The deviation grows with
-    /// the square of time.
+    /// Shortens the lifetime of the rows from `first` on: a splat follows a straight line, and
+    /// within one standard deviation in time it should leave its path, which bends away by `bend`
+    /// until the next keyframe, by its own size at most. The deviation grows with the square of
+    /// time.
     pub fn shorten(&mut self, first: usize, bend: &[f32]) {
         let n_static = self.splats.n_static();
         let axes = if self.splats.layout().isotropic { 1 } else { 3 };
         for (row, &bend) in (first..).zip(bend) {
-            let log_size = (0..axes).map(|k| self.splats.column(Column::LogScale, k)[row]).fold(f32::MIN, f32::max);
+            let log_size = (0..axes)
+                .map(|k| self.splats.column(Column::LogScale, k)[row])
+                .fold(f32::MIN, f32::max);
             let share = (log_size.exp() / bend.max(f32::MIN_POSITIVE)).sqrt();
-            self.splats.column_mut(Column::LogTimeSd, 0)[row - n_static] += share.clamp(SHORTEST, 1.0).ln();
+            self.splats.column_mut(Column::LogTimeSd, 0)[row - n_static] +=
+                share.clamp(SHORTEST, 1.0).ln();
         }
     }
 
@@ -147,10 +158,17 @@ pub(crate) fn spacing(points: &[[f32; 3]], fallback: &[f32]) -> Vec<f32> {
         .par_iter()
         .enumerate()
         .map(|(i, p)| {
-            let near = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(FOUR).execute();
+            let near = tree
+                .query(p)
+                .nearest_n::<SquaredEuclidean<f32>>(FOUR)
+                .execute();
             // One of the four is the point itself, whichever of its duplicates is named first.
             let own = near.iter().position(|n| n.item as usize == i).unwrap_or(0);
-            let others = near.iter().enumerate().filter(|(k, _)| *k != own).map(|(_, n)| n.distance);
+            let others = near
+                .iter()
+                .enumerate()
+                .filter(|(k, _)| *k != own)
+                .map(|(_, n)| n.distance);
             let (sum, count) = others.fold((0.0f32, 0.0f32), |(s, c), d| (s + d, c + 1.0));
             (sum / count.max(1.0)).max(LEAST_SQUARED).sqrt()
         })
@@ -168,16 +186,23 @@ pub(crate) struct Spread {
 
 /// Principal axes of the `count` nearest points, the point itself among them, around each point.
 pub(crate) fn spread(points: &[[f32; 3]], count: usize) -> Vec<Spread> {
-    let nothing = Spread { sd: [0.0; 3], quat: [1.0, 0.0, 0.0, 0.0] };
-    let (Ok(tree), Some(count)) =
-        (ImmutableKdTree::<f32, 3>::new_from_slice(points), NonZero::new(count.min(points.len())))
-    else {
+    let nothing = Spread {
+        sd: [0.0; 3],
+        quat: [1.0, 0.0, 0.0, 0.0],
+    };
+    let (Ok(tree), Some(count)) = (
+        ImmutableKdTree::<f32, 3>::new_from_slice(points),
+        NonZero::new(count.min(points.len())),
+    ) else {
         return vec![nothing; points.len()];
     };
     points
         .par_iter()
         .map(|p| {
-            let near = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute();
+            let near = tree
+                .query(p)
+                .nearest_n::<SquaredEuclidean<f32>>(count)
+                .execute();
             let mut second = Matrix3::<f64>::zeros();
             for n in &near {
                 let q = points[n.item as usize];
@@ -211,16 +236,30 @@ mod tests {
 
     #[test]
     fn a_lifetime_is_shortened_until_the_path_leaves_the_line_by_the_size_of_the_splat() {
-        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
         // one static splat before them; size 0.1, lifetime e^0.5
         let mut splats = Splats::zeros(layout, 1, 6);
         for k in 0..3 {
-            splats.column_mut(Column::LogScale, k).fill([0.1f32, 0.05, 0.01][k].ln());
+            splats
+                .column_mut(Column::LogScale, k)
+                .fill([0.1f32, 0.05, 0.01][k].ln());
         }
         splats.column_mut(Column::LogTimeSd, 0).fill(0.5);
-        let mut writer = Writer { splats: &mut splats, config: &InitConfig::default(), row: 7 };
+        let mut writer = Writer {
+            splats: &mut splats,
+            config: &InitConfig::default(),
+            row: 7,
+        };
         writer.shorten(1, &[0.0, 0.1, 0.2, 10.0, f32::NAN]);
-        let share: Vec<f32> = splats.column(Column::LogTimeSd, 0).iter().map(|v| (v - 0.5).exp()).collect();
+        let share: Vec<f32> = splats
+            .column(Column::LogTimeSd, 0)
+            .iter()
+            .map(|v| (v - 0.5).exp())
+            .collect();
         for (got, want) in share.iter().zip([1.0, 1.0, 0.5f32.sqrt(), 0.5, 1.0, 1.0]) {
             assert!((got - want).abs() < 1e-5, "{share:?}");
         }
@@ -228,9 +267,14 @@ mod tests {
 
     #[test]
     fn a_lattice_has_its_own_spacing() {
-        let points: Vec<[f32; 3]> = (0..64).map(|i| [(i % 8) as f32 * 0.5, (i / 8) as f32 * 0.5, 1.0]).collect();
+        let points: Vec<[f32; 3]> = (0..64)
+            .map(|i| [(i % 8) as f32 * 0.5, (i / 8) as f32 * 0.5, 1.0])
+            .collect();
         let got = spacing(&points, &[1.0; 64]);
-        assert!((got[27] - 0.5).abs() < 1e-6, "an inner point has four neighbours at 0.5");
+        assert!(
+            (got[27] - 0.5).abs() < 1e-6,
+            "an inner point has four neighbours at 0.5"
+        );
         // a corner: two at 0.5 and one at the diagonal
         assert!((got[0] - ((0.25 + 0.25 + 0.5) / 3.0f32).sqrt()).abs() < 1e-6);
     }
@@ -243,19 +287,30 @@ mod tests {
         assert!(many.iter().all(|&s| s > 0.0 && s < 1e-3));
     }
 
-    /// A lattice of 0.5 by 0.25 in a tilted plane: a disc twice as long as wide, flat across the plane.
+    /// A lattice of 0.5 by 0.25 in a tilted plane: a disc twice as long as wide, flat across the
+    /// plane.
     #[test]
     fn a_tilted_lattice_is_spread_along_its_axes() {
         let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.7f32, -0.4, 0.2));
-        let points: Vec<[f32; 3]> =
-            (0..81).map(|i| (tilt * Vector3::new((i % 9) as f32 * 0.5, (i / 9) as f32 * 0.25, 0.0)).into()).collect();
+        let points: Vec<[f32; 3]> = (0..81)
+            .map(|i| (tilt * Vector3::new((i % 9) as f32 * 0.5, (i / 9) as f32 * 0.25, 0.0)).into())
+            .collect();
         let got = spread(&points, 9)[40];
-        let q = UnitQuaternion::from_quaternion(Quaternion::new(got.quat[0], got.quat[1], got.quat[2], got.quat[3]));
-        let flat = (0..3).min_by(|&a, &b| got.sd[a].total_cmp(&got.sd[b])).unwrap();
+        let q = UnitQuaternion::from_quaternion(Quaternion::new(
+            got.quat[0],
+            got.quat[1],
+            got.quat[2],
+            got.quat[3],
+        ));
+        let flat = (0..3)
+            .min_by(|&a, &b| got.sd[a].total_cmp(&got.sd[b]))
+            .unwrap();
         assert!(got.sd[flat] < 1e-3, "{got:?}");
         let normal = q * Vector3::ith(flat, 1.0);
         assert!(normal.dot(&(tilt * Vector3::z())).abs() > 0.9999);
-        let long = (0..3).max_by(|&a, &b| got.sd[a].total_cmp(&got.sd[b])).unwrap();
+        let long = (0..3)
+            .max_by(|&a, &b| got.sd[a].total_cmp(&got.sd[b]))
+            .unwrap();
         // nearest nine: one row of three, two of the next, and the far ones of the short axis
         assert!(got.sd[long] > 0.2 && got.sd[long] < 0.6, "{got:?}");
     }

@@ -23,8 +23,8 @@ use m4_kernels::{SimdLevel, View, morton_order};
 use std::{collections::HashSet, time::Instant};
 use step::StepReport;
 
-/// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
-/// (docs/spec/optimiser.md 1.6).
+/// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene
+/// units whatever the scale (docs/spec/optimiser.md 1.6).
 const NEAR_SHARE: f32 = 0.05;
 
 /// How a run ended.
@@ -72,7 +72,8 @@ pub struct Trainer<'a> {
     splats: Splats,
     good: usize,
     adam: AdamState,
-    /// Where splats are that are never stepped, as bits: the way to know them again without the optimiser's state.
+    /// Where splats are that are never stepped, as bits: the way to know them again without the
+    /// optimiser's state.
     fixed: HashSet<[u32; 3]>,
     fit: Refinement,
     picker: Picker,
@@ -88,8 +89,8 @@ pub struct Trainer<'a> {
 }
 
 impl<'a> Trainer<'a> {
-    /// A run that starts from `first`. Fails with [`TrainError`] if a setting is out of range, the capture has no
-    /// frames, or the splats are none or not finite.
+    /// A run that starts from `first`. Fails with [`TrainError`] if a setting is out of range, the
+    /// capture has no frames, or the splats are none or not finite.
     pub fn new(
         capture: &'a Capture,
         first: impl Into<FirstSplats>,
@@ -109,18 +110,30 @@ impl<'a> Trainer<'a> {
         }
         let basis = RateBasis {
             // a life longer than the video moves no further than the video lasts
-            time_sd: median_time_sd(&splats).min(0.25 * capture.time_frames as f32).max(0.5),
+            time_sd: median_time_sd(&splats)
+                .min(0.25 * capture.time_frames as f32)
+                .max(0.5),
             time_frames: capture.time_frames,
         };
         let background = config.background.unwrap_or_else(|| background_of(capture));
         let first_splats = splats.n();
-        Ok(Self::assemble(capture, splats, adam, basis, background, first_splats, config, level))
+        Ok(Self::assemble(
+            capture,
+            splats,
+            adam,
+            basis,
+            background,
+            first_splats,
+            config,
+            level,
+        ))
     }
 
-    /// A run that resumes from [`state`](Self::state); `splats` are those of the scene saved with it. Capture and
-    /// settings must be those of the saved run, else the result is not that of an uninterrupted one; the number of
-    /// iterations is taken from the saved run. Fails with [`TrainError`] as [`new`](Self::new), or if the state lacks a
-    /// part or belongs to other splats or another capture.
+    /// A run that resumes from [`state`](Self::state); `splats` are those of the scene saved with
+    /// it. Capture and settings must be those of the saved run, else the result is not that of an
+    /// uninterrupted one; the number of iterations is taken from the saved run. Fails with
+    /// [`TrainError`] as [`new`](Self::new), or if the state lacks a part or belongs to other
+    /// splats or another capture.
     pub fn resume(
         capture: &'a Capture,
         splats: Splats,
@@ -131,13 +144,28 @@ impl<'a> Trainer<'a> {
         check_start(capture, &splats, &config)?;
         let reader = Reader(state);
         let adam = read_adam(&reader, &splats)?;
-        let basis = RateBasis { time_sd: reader.f32("train/time_sd", 1)?[0], time_frames: capture.time_frames };
+        let basis = RateBasis {
+            time_sd: reader.f32("train/time_sd", 1)?[0],
+            time_frames: capture.time_frames,
+        };
         let rgb = reader.f32("train/background", 3)?;
         let background = [rgb[0], rgb[1], rgb[2]];
         let first_splats = reader.u32("train/first_splats", 1)?[0] as usize;
         let iteration = reader.u32("train/iteration", 1)?[0] as usize;
-        let config = TrainConfig { iterations: reader.u32("train/iterations", 1)?[0] as usize, ..config };
-        let mut out = Self::assemble(capture, splats, adam, basis, background, first_splats, config, level);
+        let config = TrainConfig {
+            iterations: reader.u32("train/iterations", 1)?[0] as usize,
+            ..config
+        };
+        let mut out = Self::assemble(
+            capture,
+            splats,
+            adam,
+            basis,
+            background,
+            first_splats,
+            config,
+            level,
+        );
         out.iteration = iteration;
         read_refinement(&reader, &mut out.fit)?;
         Ok(out)
@@ -169,7 +197,10 @@ impl<'a> Trainer<'a> {
             time_frames: capture.time_frames,
             duration_s: capture.duration_s,
             scale: SceneScale::of(capture),
-            fixed: (0..splats.n()).filter(|&row| adam.step[row] == FIXED).map(|row| place(&splats, row)).collect(),
+            fixed: (0..splats.n())
+                .filter(|&row| adam.step[row] == FIXED)
+                .map(|row| place(&splats, row))
+                .collect(),
             fit: Refinement::new(capture.frames.iter().map(|f| f.camera)),
             picker: Picker::new(config.seed, capture.frames.len()),
             iteration: 0,
@@ -197,11 +228,11 @@ impl<'a> Trainer<'a> {
         self.iteration
     }
 
-    /// Takes steps on `backend` from here on instead of the CPU. The result depends on it as on a SIMD level: the same device gives
-    /// the same bits, another one last digits of its own.
-    /// Corrections of poses or exposures wait for the device where a frame is drawn again, a few times for all frames; that of
-    /// the focal length waits in every step.
-    /// Fails with [`TrainError::Device`] if the backend that was used before fails to give its splats back.
+    /// Takes steps on `backend` from here on instead of the CPU. The result depends on it as on a
+    /// SIMD level: the same device gives the same bits, another one last digits of its own.
+    /// Corrections of poses or exposures wait for the device where a frame is drawn again, a few
+    /// times for all frames; that of the focal length waits in every step. Fails with
+    /// [`TrainError::Device`] if the backend that was used before fails to give its splats back.
     pub fn use_backend(&mut self, mut backend: Box<dyn Backend + 'a>) -> Result<(), TrainError> {
         if self.config.density.needs_image_gradients() {
             backend.collect_image_gradients();
@@ -213,8 +244,9 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// Takes steps on the CPU from here on; `level` is what its kernels are compiled for. After a device failed, from its last good
-    /// state. Fails with [`TrainError::Device`] if another backend that was used before fails to give its splats back.
+    /// Takes steps on the CPU from here on; `level` is what its kernels are compiled for. After a
+    /// device failed, from its last good state. Fails with [`TrainError::Device`] if another
+    /// backend that was used before fails to give its splats back.
     pub fn use_cpu(&mut self, level: SimdLevel) -> Result<(), TrainError> {
         self.synchronize()?;
         self.backend = cpu(self.capture, &self.config, level);
@@ -306,5 +338,9 @@ fn background_of(capture: &Capture) -> [f32; 3] {
             }
         }
     }
-    if empty == 0 || empty * 1000 < all { [0.0; 3] } else { sum.map(|s| (s / empty as f64) as f32) }
+    if empty == 0 || empty * 1000 < all {
+        [0.0; 3]
+    } else {
+        sum.map(|s| (s / empty as f64) as f32)
+    }
 }

@@ -21,7 +21,9 @@ impl Trainer<'_> {
         let due = Decision {
             densify: c.is_due(c.every, i, n),
             prune_by_score: c.loss_guided && c.is_due(c.prune_every, i, n),
-            prune_large: c.prune_large && i as f64 > f64::from(LARGE_FROM) * n as f64 && c.is_due(c.every, i, n),
+            prune_large: c.prune_large
+                && i as f64 > f64::from(LARGE_FROM) * n as f64
+                && c.is_due(c.every, i, n),
             max_splats: (f64::from(c.max_growth) * self.first_splats as f64) as usize,
         };
         let last = c.enabled && i == n && c.final_opacity > 0.0;
@@ -30,7 +32,12 @@ impl Trainer<'_> {
             self.round(due, min_opacity)?;
         }
         if last {
-            let nothing = Decision { densify: false, prune_by_score: false, prune_large: false, max_splats: 0 };
+            let nothing = Decision {
+                densify: false,
+                prune_by_score: false,
+                prune_large: false,
+                max_splats: 0,
+            };
             self.round(nothing, final_opacity)?;
         }
         Ok(())
@@ -53,7 +60,12 @@ impl Trainer<'_> {
                 threshold: config.error_threshold,
                 range: config.error_range,
             },
-            rules: Rules { config: &config, due, min_opacity, scale: &scale },
+            rules: Rules {
+                config: &config,
+                due,
+                min_opacity,
+                scale: &scale,
+            },
             period: period(self.time_frames),
             seed: self.config.seed,
             iteration: self.iteration,
@@ -68,17 +80,24 @@ impl Trainer<'_> {
 
     /// Frames drawn for the scores, and how they are seen.
     fn frames_to_score(&self) -> Vec<(usize, View)> {
-        let mut rng = CounterRng::new(self.config.seed, purpose::DENSIFY_FRAMES, self.iteration as u64);
+        let mut rng = CounterRng::new(
+            self.config.seed,
+            purpose::DENSIFY_FRAMES,
+            self.iteration as u64,
+        );
         let picked = rng.sample(self.times.len(), self.config.density.frames);
         picked.into_iter().map(|f| (f, self.view(f))).collect()
     }
 }
 
 impl Trainer<'_> {
-    /// Solves for the colours after the last step; weights are measured once. False where the caller asked to stop: nothing is changed then.
+    /// Solves for the colours after the last step; weights are measured once. False where the
+    /// caller asked to stop: nothing is changed then.
     pub(super) fn fit_colours(&mut self, progress: &dyn Progress) -> Result<bool, TrainError> {
         self.settle()?;
-        let views: Vec<(usize, View)> = (0..self.times.len()).map(|frame| (frame, self.view(frame))).collect();
+        let views: Vec<(usize, View)> = (0..self.times.len())
+            .map(|frame| (frame, self.view(frame)))
+            .collect();
         self.prepare()?;
         self.download()?;
         let (mut weight, first) = (Default::default(), self.splats.clone());
@@ -111,10 +130,13 @@ impl Trainer<'_> {
 }
 
 impl Trainer<'_> {
-    /// Adds the colour coefficients that are due before this step, if any are. What is due follows from the step and the splats alone, so
-    /// that a run that is resumed here adds them as well.
+    /// Adds the colour coefficients that are due before this step, if any are. What is due follows
+    /// from the step and the splats alone, so that a run that is resumed here adds them as well.
     pub(super) fn degree_round(&mut self) -> Result<(), TrainError> {
-        let degree = self.config.colour_degree.at(progress(self.iteration, self.config.iterations));
+        let degree = self
+            .config
+            .colour_degree
+            .at(progress(self.iteration, self.config.iterations));
         let layout = degree.raise(self.splats.layout());
         if layout != self.splats.layout() {
             self.synchronize()?;

@@ -7,8 +7,8 @@ use m4_core::Progress;
 use std::time::Instant;
 
 impl Trainer<'_> {
-    /// Trains to the last iteration of the settings and fits the colours, see [`run_until`](Self::run_until).
-    /// Fails as [`run_until`](Self::run_until).
+    /// Trains to the last iteration of the settings and fits the colours, see
+    /// [`run_until`](Self::run_until). Fails as [`run_until`](Self::run_until).
     pub fn run(
         &mut self,
         progress: &dyn Progress,
@@ -17,13 +17,15 @@ impl Trainer<'_> {
         self.run_until(self.config.iterations, progress, metrics)
     }
 
-    /// Trains until `iteration` steps are taken in all (at most those of the settings): for saving in
-    /// between. `metrics` gets an event every [`crate::TrainConfig::metrics_every`] steps and at the end.
-    /// Fails with [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer then has the last
-    /// splats that were, and an optimiser that starts from nothing. [`TrainError::Device`] when a device failed, likewise.
+    /// Trains until `iteration` steps are taken in all (at most those of the settings): for saving
+    /// in between. `metrics` gets an event every [`crate::TrainConfig::metrics_every`] steps and at
+    /// the end. Fails with [`TrainError::Diverged`] when the loss or a parameter is no longer
+    /// finite; the trainer then has the last splats that were, and an optimiser that starts from
+    /// nothing. [`TrainError::Device`] when a device failed, likewise.
     ///
-    /// Where another device than the CPU diverges, the CPU repeats the steps since the last good splats. If it does not diverge, the device
-    /// is at fault: [`TrainError::Device`], and the trainer has the splats of the CPU.
+    /// Where another device than the CPU diverges, the CPU repeats the steps since the last good
+    /// splats. If it does not diverge, the device is at fault: [`TrainError::Device`], and the
+    /// trainer has the splats of the CPU.
     pub fn run_until(
         &mut self,
         iteration: usize,
@@ -31,7 +33,14 @@ impl Trainer<'_> {
         metrics: &mut dyn FnMut(&MetricsEvent),
     ) -> Result<Outcome, TrainError> {
         let outcome = self.steps_until(iteration, progress, metrics);
-        let Err(TrainError::Diverged { what, iteration: at, good_iteration }) = outcome else { return outcome };
+        let Err(TrainError::Diverged {
+            what,
+            iteration: at,
+            good_iteration,
+        }) = outcome
+        else {
+            return outcome;
+        };
         if !self.is_device {
             return outcome;
         }
@@ -61,7 +70,9 @@ impl Trainer<'_> {
         while self.iteration < end {
             if progress.cancelled() {
                 self.synchronize()?;
-                return Ok(Outcome::Stopped { iteration: self.iteration });
+                return Ok(Outcome::Stopped {
+                    iteration: self.iteration,
+                });
             }
             let (started, processor) = (Instant::now(), ProcessTime::try_now());
             self.step()?;
@@ -84,9 +95,14 @@ impl Trainer<'_> {
                 progress.update("train", done, self.config.iterations, &note);
             }
         }
-        if self.iteration == self.config.iterations && !self.is_fitted && !self.fit_colours(progress)? {
+        if self.iteration == self.config.iterations
+            && !self.is_fitted
+            && !self.fit_colours(progress)?
+        {
             self.synchronize()?;
-            return Ok(Outcome::Stopped { iteration: self.iteration });
+            return Ok(Outcome::Stopped {
+                iteration: self.iteration,
+            });
         }
         self.synchronize()?;
         Ok(Outcome::Finished)

@@ -17,7 +17,8 @@ impl Trainer<'_> {
         self.scene_of(splats)
     }
 
-    /// Shows the scene and what [`resume`](Self::resume) needs beside it to `show`, without a copy of either.
+    /// Shows the scene and what [`resume`](Self::resume) needs beside it to `show`, without a copy
+    /// of either.
     pub fn save<R>(&mut self, show: impl FnOnce(&Scene, &TrainState<'_>) -> R) -> R {
         let splats = self.take_splats();
         let scene = self.scene_of(splats);
@@ -52,11 +53,23 @@ impl Trainer<'_> {
     pub fn state(&self) -> TrainState<'_> {
         let mut state = TrainState::new();
         let mut put = |name: &str, tensor| state.insert(name.to_owned(), tensor);
-        put("train/iteration", StateTensor::u32(vec![self.iteration as u32]));
-        put("train/iterations", StateTensor::u32(vec![self.config.iterations as u32]));
-        put("train/first_splats", StateTensor::u32(vec![self.first_splats as u32]));
+        put(
+            "train/iteration",
+            StateTensor::u32(vec![self.iteration as u32]),
+        );
+        put(
+            "train/iterations",
+            StateTensor::u32(vec![self.config.iterations as u32]),
+        );
+        put(
+            "train/first_splats",
+            StateTensor::u32(vec![self.first_splats as u32]),
+        );
         put("train/time_sd", StateTensor::f32(vec![self.basis.time_sd]));
-        put("train/background", StateTensor::f32(self.background.to_vec()));
+        put(
+            "train/background",
+            StateTensor::f32(self.background.to_vec()),
+        );
         write_adam(&mut state, &self.adam);
         write_refinement(&mut state, &self.fit);
         state

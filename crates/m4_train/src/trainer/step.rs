@@ -26,14 +26,20 @@ pub(crate) struct StepReport {
 
 impl StepReport {
     /// Before the first step.
-    pub(super) const NONE: Self = Self { loss: f64::NAN, psnr: f64::NAN };
+    pub(super) const NONE: Self = Self {
+        loss: f64::NAN,
+        psnr: f64::NAN,
+    };
 }
 
 impl Trainer<'_> {
-    /// Draws the frames of a step, compares, moves every splat that was seen, and does what is due after it.
+    /// Draws the frames of a step, compares, moves every splat that was seen, and does what is due
+    /// after it.
     pub(crate) fn step(&mut self) -> Result<(), TrainError> {
         let (i, n, batch) = (self.iteration, self.config.iterations, self.config.batch);
-        let frames: Vec<usize> = (0..batch).map(|k| self.picker.pick(i * batch + k)).collect();
+        let frames: Vec<usize> = (0..batch)
+            .map(|k| self.picker.pick(i * batch + k))
+            .collect();
         if frames.iter().any(|frame| self.pending.contains(frame)) {
             self.settle()?;
         }
@@ -41,19 +47,40 @@ impl Trainer<'_> {
         self.prepare()?;
         let views: Vec<View> = frames.iter().map(|&f| self.view(f)).collect();
         let x = schedule::progress(i, n);
-        let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
+        let mut lr = rates(
+            &self.config.lr,
+            self.splats.layout(),
+            &self.scale,
+            self.basis,
+            x,
+        );
         let faster = (batch as f32).sqrt();
         lr.iter_mut().for_each(|rate| *rate *= faster);
         let mut nodes = node_rates(&self.config.lr, &self.scale, x);
         (nodes.position, nodes.turn) = (nodes.position * faster, nodes.turn * faster);
         let refine = &self.config.refine;
         let refining = i >= refine.from;
-        let (camera, exposure) = (refining && (refine.poses || refine.focal), refining && refine.exposure);
-        let views: Vec<StepView<'_>> =
-            frames.iter().zip(&views).map(|(&frame, view)| StepView { frame, view, camera, exposure }).collect();
+        let (camera, exposure) = (
+            refining && (refine.poses || refine.focal),
+            refining && refine.exposure,
+        );
+        let views: Vec<StepView<'_>> = frames
+            .iter()
+            .zip(&views)
+            .map(|(&frame, view)| StepView {
+                frame,
+                view,
+                camera,
+                exposure,
+            })
+            .collect();
         let settings = StepSettings {
             lambda_ssim: self.config.lambda_ssim,
-            cover: if self.scale.one_centre { self.config.cover } else { 0.0 },
+            cover: if self.scale.one_centre {
+                self.config.cover
+            } else {
+                0.0
+            },
             rates: &lr,
             nodes,
             adam: self.config.adam,
@@ -75,7 +102,8 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Waits for the backend, adds its statistics to the totals, corrects cameras and exposures, and returns loss and PSNR.
+    /// Waits for the backend, adds its statistics to the totals, corrects cameras and exposures,
+    /// and returns loss and PSNR.
     pub(crate) fn report(&mut self) -> Result<StepReport, TrainError> {
         let stats = self.ask(|backend| backend.stats())?;
         self.pending.clear();
@@ -103,13 +131,18 @@ impl Trainer<'_> {
         for (frame, gradient) in &stats.cameras {
             let drawn = self.fit.camera(*frame);
             let median_depth = f64::from(self.scale.median_depth);
-            self.fit.step(&self.config.refine, *frame, &drawn, gradient, median_depth);
+            self.fit
+                .step(&self.config.refine, *frame, &drawn, gradient, median_depth);
         }
-        self.last = StepReport { loss, psnr: stats.psnr };
+        self.last = StepReport {
+            loss,
+            psnr: stats.psnr,
+        };
         Ok(self.last)
     }
 
-    /// Corrects the cameras and exposures of all frames drawn so far: before one of them is drawn again, or saved.
+    /// Corrects the cameras and exposures of all frames drawn so far: before one of them is drawn
+    /// again, or saved.
     pub(super) fn settle(&mut self) -> Result<(), TrainError> {
         if !self.pending.is_empty() {
             self.report()?;
@@ -145,8 +178,9 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Checks now and then that everything is finite, and keeps the splats if so. A backend that must be waited for is not asked for
-    /// them more often than the settings say; which of the finite states is kept changes nothing in a run that does not fail.
+    /// Checks now and then that everything is finite, and keeps the splats if so. A backend that
+    /// must be waited for is not asked for them more often than the settings say; which of the
+    /// finite states is kept changes nothing in a run that does not fail.
     fn guard(&mut self) -> Result<(), TrainError> {
         let last = self.iteration == self.config.iterations;
         if !last && !self.iteration.is_multiple_of(self.config.guard_every) {
@@ -190,7 +224,8 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Asks the backend for something; where it fails the trainer goes back to its last good splats.
+    /// Asks the backend for something; where it fails the trainer goes back to its last good
+    /// splats.
     pub(super) fn ask<R>(
         &mut self,
         ask: impl FnOnce(&mut dyn Backend) -> Result<R, BackendError>,
@@ -202,13 +237,21 @@ impl Trainer<'_> {
     fn backend_failed(&mut self, error: &BackendError) -> TrainError {
         let iteration = self.iteration;
         self.go_back();
-        TrainError::Device { why: error.to_string(), iteration, good_iteration: self.iteration }
+        TrainError::Device {
+            why: error.to_string(),
+            iteration,
+            good_iteration: self.iteration,
+        }
     }
 
     fn back_to_good(&mut self, what: &'static str) -> TrainError {
         let iteration = self.iteration;
         self.go_back();
-        TrainError::Diverged { what, iteration, good_iteration: self.iteration }
+        TrainError::Diverged {
+            what,
+            iteration,
+            good_iteration: self.iteration,
+        }
     }
 
     /// Goes back to the splats here, without the moments, which led to the failure.

@@ -2,7 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use m4_core::{
-    Camera, Capture, CaptureFrame, Column, CompactMask, CounterRng, Intrinsics, Plane, Silent, SplatLayout, Splats,
+    Camera, Capture, CaptureFrame, Column, CompactMask, CounterRng, Intrinsics, Plane, Silent,
+    SplatLayout, Splats,
 };
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_testkit::{MovingScene, moving_scene};
@@ -16,7 +17,10 @@ pub fn video() -> (MovingScene, Capture) {
     let mut scene = moving_scene(Intrinsics::centred(96, 72, 90.0), FRAMES);
     // A wall of one depth has no order from front to back that a small step would not turn around.
     let n_static = scene.splats.n_static();
-    for (i, z) in scene.splats.column_mut(Column::Mean, 2)[..n_static].iter_mut().enumerate() {
+    for (i, z) in scene.splats.column_mut(Column::Mean, 2)[..n_static]
+        .iter_mut()
+        .enumerate()
+    {
         *z += 0.2 * ((i * 7919) % 101) as f32 / 101.0;
     }
     scene.splats.column_mut(Column::LogScale, 0)[..n_static].fill(0.12f32.ln());
@@ -43,13 +47,19 @@ pub fn filmed(splats: &Splats, cameras: &[Camera]) -> Capture {
         let byte = |v: f32| (v * 255.0).round().clamp(0.0, 255.0) as u8;
         let depth = |i: usize| {
             let alpha = 1.0 - frame.transmittance[i];
-            if alpha > 0.5 { frame.depth[i] / alpha } else { 0.0 }
+            if alpha > 0.5 {
+                frame.depth[i] / alpha
+            } else {
+                0.0
+            }
         };
         CaptureFrame {
             name: format!("{i:03}"),
             camera: *camera,
             t: i as f64,
-            rgb: Plane::from_fn(w, h, |x, y| [0, 1, 2].map(|c| byte(frame.rgb[c][y * w + x]))),
+            rgb: Plane::from_fn(w, h, |x, y| {
+                [0, 1, 2].map(|c| byte(frame.rgb[c][y * w + x]))
+            }),
             depth: Some(Plane::from_fn(w, h, |x, y| depth(y * w + x)).into()),
             // the ball is nearer than 3.2, the wall farther
             mask: Some(CompactMask::from_fn(w, h, |x, y| {
@@ -62,7 +72,13 @@ pub fn filmed(splats: &Splats, cameras: &[Camera]) -> Capture {
         }
     });
     let frames = frames.collect();
-    Capture { frames, time_frames: FRAMES, duration_s: None, metric: true, tracks: None }
+    Capture {
+        frames,
+        time_frames: FRAMES,
+        duration_s: None,
+        metric: true,
+        tracks: None,
+    }
 }
 
 /// Gives `splats` harmonics of these degrees, in space and time, at random.
@@ -70,23 +86,38 @@ pub fn add_harmonics(splats: &mut Splats, (space, time): (usize, usize)) {
     splats.raise_degrees(space, time);
     let mut rng = CounterRng::new(21, 0, 0);
     for k in 3..splats.layout().range(Column::Colour).len() {
-        splats.column_mut(Column::Colour, k).fill_with(|| 0.25 * rng.normal() as f32);
+        splats
+            .column_mut(Column::Colour, k)
+            .fill_with(|| 0.25 * rng.normal() as f32);
     }
 }
 
-/// The splats of the scene with everything that can be learned disturbed; anisotropic, velocities 0.
+/// The splats of the scene with everything that can be learned disturbed; anisotropic, velocities
+/// 0.
 pub fn disturbed(scene: &MovingScene, seed: u64) -> Splats {
     let from = &scene.splats;
-    let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
     let mut out = Splats::zeros(layout, from.n_static(), from.n_dynamic());
     let mut rng = CounterRng::new(seed, 0, 0);
-    for column in [Column::Mean, Column::Colour, Column::TimeMean, Column::LogTimeSd, Column::Opacity] {
+    for column in [
+        Column::Mean,
+        Column::Colour,
+        Column::TimeMean,
+        Column::LogTimeSd,
+        Column::Opacity,
+    ] {
         for k in 0..layout.range(column).len() {
-            out.column_mut(column, k).copy_from_slice(from.column(column, k));
+            out.column_mut(column, k)
+                .copy_from_slice(from.column(column, k));
         }
     }
     for k in 0..3 {
-        out.column_mut(Column::LogScale, k).copy_from_slice(from.column(Column::LogScale, 0));
+        out.column_mut(Column::LogScale, k)
+            .copy_from_slice(from.column(Column::LogScale, 0));
         for c in out.column_mut(Column::Colour, k) {
             *c += 0.5 * rng.normal() as f32;
         }
@@ -114,8 +145,8 @@ pub const STILL: RateConfig = RateConfig {
     other_end: 0.05,
 };
 
-/// Splits splats that have a harmonic of time, on `backend` or the CPU, into halves drawn at random, and checks that each half has the phase
-/// of its time.
+/// Splits splats that have a harmonic of time, on `backend` or the CPU, into halves drawn at
+/// random, and checks that each half has the phase of its time.
 pub fn halves_have_the_colour_of_their_time(backend: Option<Box<dyn Backend>>) {
     let (scene, capture) = video();
     let (mut splats, middle) = (scene.splats, 0.5 * (FRAMES - 1) as f32);
@@ -123,7 +154,12 @@ pub fn halves_have_the_colour_of_their_time(backend: Option<Box<dyn Backend>>) {
     let wave = 3 * splats.layout().sh_terms();
     splats.column_mut(Column::Colour, wave).fill(1.0);
     splats.column_mut(Column::LogTimeSd, 0).fill(0.0);
-    let mut config = TrainConfig { iterations: 20, colour_fit_rounds: 0, lr: STILL, ..TrainConfig::fast() };
+    let mut config = TrainConfig {
+        iterations: 20,
+        colour_fit_rounds: 0,
+        lr: STILL,
+        ..TrainConfig::fast()
+    };
     config.density = DensityConfig {
         from: 0.5,
         every: 0.5,
@@ -144,7 +180,10 @@ pub fn halves_have_the_colour_of_their_time(backend: Option<Box<dyn Backend>>) {
     for (&t, &wave) in splats.column(Column::TimeMean, 0).iter().zip(waves) {
         let dt = t - middle;
         let want = (std::f32::consts::TAU * dt / (FRAMES - 1) as f32).cos();
-        assert!((wave - want).abs() < 1e-5, "{wave} for {want}, {dt} frames off");
+        assert!(
+            (wave - want).abs() < 1e-5,
+            "{wave} for {want}, {dt} frames off"
+        );
         moved += usize::from(dt != 0.0);
     }
     assert!(moved > 5, "{moved}");

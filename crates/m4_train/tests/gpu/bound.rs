@@ -11,7 +11,9 @@ use m4_kernels::{
     gpu::Gpu,
 };
 use m4_testkit::{MovingScene, assert_gradient, bind_at_random};
-use m4_train::backend::{Backend, CpuBackend, StepSettings, StepView, gpu::GpuBackend, gpu::GpuTrainer};
+use m4_train::backend::{
+    Backend, CpuBackend, StepSettings, StepView, gpu::GpuBackend, gpu::GpuTrainer,
+};
 use m4_train::{
     DensityConfig, SceneScale, TrainConfig, Trainer,
     config::{SplitPlacement, SplitSize},
@@ -30,8 +32,10 @@ fn splats() -> (Splats, View) {
 /// Both, with the same frames and splats.
 fn backends<'a>(gpu: &Gpu, capture: &'a Capture, splats: &Splats) -> [Box<dyn Backend + 'a>; 2] {
     let cpu = CpuBackend::new(capture, 100, SimdLevel::best());
-    let both: [Box<dyn Backend>; 2] =
-        [Box::new(cpu), Box::new(GpuBackend::new(gpu.clone(), None, &TrainConfig::fast()))];
+    let both: [Box<dyn Backend>; 2] = [
+        Box::new(cpu),
+        Box::new(GpuBackend::new(gpu.clone(), None, &TrainConfig::fast())),
+    ];
     both.map(|mut backend| {
         backend.set_frames(vec![image(0), image(2)]).unwrap();
         backend.upload(splats, AdamState::new(splats)).unwrap();
@@ -41,8 +45,13 @@ fn backends<'a>(gpu: &Gpu, capture: &'a Capture, splats: &Splats) -> [Box<dyn Ba
 
 /// Of the poses of all nodes.
 fn poses(splats: &Splats) -> Vec<f64> {
-    let keys = splats.windows().iter().flat_map(|w| (0..w.keys().len()).flat_map(|key| w.poses(key)));
-    keys.flat_map(|p| p.position.into_iter().chain(p.rotation)).map(f64::from).collect()
+    let keys = splats
+        .windows()
+        .iter()
+        .flat_map(|w| (0..w.keys().len()).flat_map(|key| w.poses(key)));
+    keys.flat_map(|p| p.position.into_iter().chain(p.rotation))
+        .map(f64::from)
+        .collect()
 }
 
 fn moved(from: &[f64], to: &[f64]) -> Vec<f64> {
@@ -51,17 +60,31 @@ fn moved(from: &[f64], to: &[f64]) -> Vec<f64> {
 
 #[test]
 fn steps_of_bound_splats_are_those_of_the_cpu() {
-    let Some(gpu) = gpu("steps of bound splats") else { return };
+    let Some(gpu) = gpu("steps of bound splats") else {
+        return;
+    };
     let (_, capture) = video();
     let (splats, view) = splats();
-    let rates: Vec<f32> = (0..LAYOUT.columns()).map(|c| 1e-4 * (1 + c % 3) as f32).collect();
+    let rates: Vec<f32> = (0..LAYOUT.columns())
+        .map(|c| 1e-4 * (1 + c % 3) as f32)
+        .collect();
     let views = [3.0, 1.0, 2.4, 3.0, 5.5].map(|t| View { t, ..view });
     for (sparse, batch) in [(true, 1), (false, 1), (true, 2)] {
-        let adam = AdamConfig { sparse, ..AdamConfig::default() };
-        let settings = StepSettings { cover: COVER, adam, ..settings(&rates) };
+        let adam = AdamConfig {
+            sparse,
+            ..AdamConfig::default()
+        };
+        let settings = StepSettings {
+            cover: COVER,
+            adam,
+            ..settings(&rates)
+        };
         let [want, got] = backends(&gpu, &capture, &splats).map(|mut backend| {
-            let steps: Vec<StepView<'_>> =
-                views.iter().enumerate().map(|(k, view)| StepView::new(k % 2, view)).collect();
+            let steps: Vec<StepView<'_>> = views
+                .iter()
+                .enumerate()
+                .map(|(k, view)| StepView::new(k % 2, view))
+                .collect();
             for step in steps.windows(batch) {
                 backend.step(step, &settings).unwrap();
             }
@@ -71,26 +94,70 @@ fn steps_of_bound_splats_are_those_of_the_cpu() {
         });
         let ((want, want_adam), (got, got_adam)) = (want, got);
         assert_eq!(got.bindings(), want.bindings());
-        let different = got_adam.step.iter().zip(&want_adam.step).filter(|(a, b)| a != b).count();
+        let different = got_adam
+            .step
+            .iter()
+            .zip(&want_adam.step)
+            .filter(|(a, b)| a != b)
+            .count();
         assert!(different <= 3, "{different} counts of steps");
-        assert_gradient("first moments", &columns(&got_adam.m), &columns(&want_adam.m), 5e-3);
-        assert_gradient("second moments", &columns(&got_adam.v), &columns(&want_adam.v), 5e-3);
+        assert_gradient(
+            "first moments",
+            &columns(&got_adam.m),
+            &columns(&want_adam.m),
+            5e-3,
+        );
+        assert_gradient(
+            "second moments",
+            &columns(&got_adam.v),
+            &columns(&want_adam.v),
+            5e-3,
+        );
         let (a, b, c) = (columns(&splats), columns(&got), columns(&want));
-        let off = moved(&a, &b).iter().zip(moved(&a, &c)).filter(|(a, b)| (*a - b).abs() > 2e-5).count();
-        assert!(off * 50 < a.len(), "{off} of {} parameters went elsewhere", a.len());
+        let off = moved(&a, &b)
+            .iter()
+            .zip(moved(&a, &c))
+            .filter(|(a, b)| (*a - b).abs() > 2e-5)
+            .count();
+        assert!(
+            off * 50 < a.len(),
+            "{off} of {} parameters went elsewhere",
+            a.len()
+        );
         for (got, want) in got_adam.nodes.iter().zip(&want_adam.nodes) {
             assert_eq!(got.step, want.step);
             let wide = |v: &[f32]| v.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-            assert_gradient("first moments of nodes", &wide(&got.m), &wide(&want.m), 5e-3);
-            assert_gradient("second moments of nodes", &wide(&got.v), &wide(&want.v), 1e-2);
+            assert_gradient(
+                "first moments of nodes",
+                &wide(&got.m),
+                &wide(&want.m),
+                5e-3,
+            );
+            assert_gradient(
+                "second moments of nodes",
+                &wide(&got.v),
+                &wide(&want.v),
+                1e-2,
+            );
         }
         let steps: u32 = want_adam.nodes.iter().flat_map(|n| &n.step).sum();
         assert!(steps >= 6 && got_adam.nodes.len() == 2, "{steps}");
         let before = poses(&splats);
         let (got, want) = (moved(&before, &poses(&got)), moved(&before, &poses(&want)));
-        assert!(want.iter().filter(|d| d.abs() > 1e-3).count() > 40, "nodes move");
-        let off = got.iter().zip(&want).filter(|(a, b)| (*a - *b).abs() > 2e-4).count();
-        assert!(off * 50 < want.len(), "{off} of {} numbers of nodes went elsewhere", want.len());
+        assert!(
+            want.iter().filter(|d| d.abs() > 1e-3).count() > 40,
+            "nodes move"
+        );
+        let off = got
+            .iter()
+            .zip(&want)
+            .filter(|(a, b)| (*a - *b).abs() > 2e-4)
+            .count();
+        assert!(
+            off * 50 < want.len(),
+            "{off} of {} numbers of nodes went elsewhere",
+            want.len()
+        );
     }
 }
 
@@ -107,14 +174,22 @@ fn bound_splats_keep_their_bindings_wherever_they_go() {
     let windows: Vec<u32> = got.0.bindings().iter().map(|b| b.window).collect();
     assert!(windows.is_sorted(), "{windows:?}");
 
-    let mut trainer = GpuTrainer::new(gpu, &got.0, &got.1, [image(0), image(2)], usize::MAX).unwrap();
+    let mut trainer =
+        GpuTrainer::new(gpu, &got.0, &got.1, [image(0), image(2)], usize::MAX).unwrap();
     let rates = vec![1e-3; LAYOUT.columns()];
     let views = [(0, view), (1, View { t: 3.0, ..view })];
     for (frame, view) in &views {
-        trainer.step(&[StepView::new(*frame, view)], &settings(&rates)).unwrap();
+        trainer
+            .step(&[StepView::new(*frame, view)], &settings(&rates))
+            .unwrap();
     }
-    let lengths =
-        SceneScale { one_centre: false, extent: 1.0, median_depth: 1.0, focal_px: 60.0, centres: vec![[0.0; 3]] };
+    let lengths = SceneScale {
+        one_centre: false,
+        extent: 1.0,
+        median_depth: 1.0,
+        focal_px: 60.0,
+        centres: vec![[0.0; 3]],
+    };
     let config = DensityConfig {
         densify_threshold: 0.001,
         budget: 1.0,
@@ -123,22 +198,52 @@ fn bound_splats_keep_their_bindings_wherever_they_go() {
         ..DensityConfig::fast()
     };
     let before = trainer.download_splats().unwrap();
-    let grown = check("bound", &mut trainer, &round(&views, &config, &lengths, DUE));
-    assert!(grown.cloned + grown.split > 10 && grown.pruned > 10, "{grown:?}");
+    let grown = check(
+        "bound",
+        &mut trainer,
+        &round(&views, &config, &lengths, DUE),
+    );
+    assert!(
+        grown.cloned + grown.split > 10 && grown.pruned > 10,
+        "{grown:?}"
+    );
     let after = trainer.download_splats().unwrap();
-    let count = |splats: &Splats, binding: &Binding| splats.bindings().iter().filter(|b| *b == binding).count();
-    let copied = before.bindings().iter().filter(|b| count(&after, b) > 1).count();
-    let gone = before.bindings().iter().filter(|b| count(&after, b) == 0).count();
-    assert!(copied > 2 && gone > 2 && after.bindings().len() > 20, "{copied} copied, {gone} gone");
+    let count = |splats: &Splats, binding: &Binding| {
+        splats.bindings().iter().filter(|b| *b == binding).count()
+    };
+    let copied = before
+        .bindings()
+        .iter()
+        .filter(|b| count(&after, b) > 1)
+        .count();
+    let gone = before
+        .bindings()
+        .iter()
+        .filter(|b| count(&after, b) == 0)
+        .count();
+    assert!(
+        copied > 2 && gone > 2 && after.bindings().len() > 20,
+        "{copied} copied, {gone} gone"
+    );
     // drawn children: those of bound splats live as their bindings say
-    let drawn = DensityConfig { split_placement: SplitPlacement::Sample, min_opacity: 0.0, ..config };
-    let grown = check("bound, drawn", &mut trainer, &round(&views, &drawn, &lengths, DUE));
+    let drawn = DensityConfig {
+        split_placement: SplitPlacement::Sample,
+        min_opacity: 0.0,
+        ..config
+    };
+    let grown = check(
+        "bound, drawn",
+        &mut trainer,
+        &round(&views, &drawn, &lengths, DUE),
+    );
     assert!(grown.split > 5, "{grown:?}");
     let after = trainer.download_splats().unwrap();
     // nodes have lists of the new rows
     trainer.stats().unwrap();
     let late = View { t: 3.0, ..view };
-    trainer.step(&[StepView::new(0, &late)], &settings(&rates)).unwrap();
+    trainer
+        .step(&[StepView::new(0, &late)], &settings(&rates))
+        .unwrap();
     let moved = trainer.download_splats().unwrap();
     assert!(poses(&moved) != poses(&after) && trainer.stats().unwrap().splats_are_finite);
 }
@@ -148,17 +253,26 @@ fn first(scene: &MovingScene) -> Splats {
     let mut out = disturbed(scene, 7);
     let mut rng = CounterRng::new(9, 0, 0);
     let keys: Vec<f32> = (0..FRAMES).map(|t| t as f32).collect();
-    let anchors: Vec<[f32; 3]> =
-        (0..4).map(|node| [0, 1, 2].map(|k| scene.start[k] + if node == k { scene.radius } else { 0.0 })).collect();
+    let anchors: Vec<[f32; 3]> = (0..4)
+        .map(|node| [0, 1, 2].map(|k| scene.start[k] + if node == k { scene.radius } else { 0.0 }))
+        .collect();
     let mut poses = Vec::new();
     for &t in &keys {
         for anchor in &anchors {
-            let position = [0, 1, 2].map(|k| anchor[k] + scene.velocity[k] * t + 0.03 * rng.normal() as f32);
-            poses.push(Pose { position, rotation: [1.0, 0.0, 0.0, 0.0] });
+            let position =
+                [0, 1, 2].map(|k| anchor[k] + scene.velocity[k] * t + 0.03 * rng.normal() as f32);
+            poses.push(Pose {
+                position,
+                rotation: [1.0, 0.0, 0.0, 0.0],
+            });
         }
     }
-    let binding =
-        Binding { window: 0, nodes: [0, 1, 2, 3], weights: [0.25; 4], life: [f32::NEG_INFINITY, f32::INFINITY] };
+    let binding = Binding {
+        window: 0,
+        nodes: [0, 1, 2, 3],
+        weights: [0.25; 4],
+        life: [f32::NEG_INFINITY, f32::INFINITY],
+    };
     let (n_static, n_bound) = (out.n_static(), out.n_dynamic() / 2);
     let middle = 0.5 * (FRAMES - 1) as f32;
     for k in 0..3 {
@@ -174,8 +288,17 @@ fn first(scene: &MovingScene) -> Splats {
 }
 
 fn config(iterations: usize) -> TrainConfig {
-    let mut config = TrainConfig { iterations, seed: 5, ..TrainConfig::fast() };
-    config.density = DensityConfig { from: 0.2, every: 0.2, prune_every: 0.4, ..DensityConfig::fast() };
+    let mut config = TrainConfig {
+        iterations,
+        seed: 5,
+        ..TrainConfig::fast()
+    };
+    config.density = DensityConfig {
+        from: 0.2,
+        every: 0.2,
+        prune_every: 0.4,
+        ..DensityConfig::fast()
+    };
     config
 }
 
@@ -188,7 +311,9 @@ fn train<'a>(scene: &MovingScene, capture: &'a Capture, gpu: Option<&Gpu>) -> Tr
     if let Some(gpu) = gpu {
         trainer.use_backend(backend(gpu)).unwrap();
     }
-    trainer.run(&Silent, &mut |event| assert!(event.loss.is_finite())).unwrap();
+    trainer
+        .run(&Silent, &mut |event| assert!(event.loss.is_finite()))
+        .unwrap();
     trainer
 }
 
@@ -220,25 +345,43 @@ fn psnr(splats: &Splats, scene: &MovingScene, capture: &Capture) -> f64 {
 
 #[test]
 fn bound_splats_learn_as_on_the_cpu_and_a_saved_run_goes_on() {
-    let Some(gpu) = gpu("training of bound splats") else { return };
+    let Some(gpu) = gpu("training of bound splats") else {
+        return;
+    };
     let (scene, capture) = video();
     let here = train(&scene, &capture, None);
     let [whole, again] = [(); 2].map(|()| train(&scene, &capture, Some(&gpu)));
-    assert!(whole.splats() == again.splats() && whole.state() == again.state(), "twice the same");
+    assert!(
+        whole.splats() == again.splats() && whole.state() == again.state(),
+        "twice the same"
+    );
     let before = psnr(&first(&scene), &scene, &capture);
     let [a, b] = [&here, &whole].map(|t| psnr(t.splats(), &scene, &capture));
     assert!(a > before + 1.0, "the CPU learns: {before:.2} to {a:.2} dB");
     assert!((a - b).abs() < 0.1, "CPU {a:.3} dB, GPU {b:.3} dB");
-    let (n, m) = (here.splats().bindings().len(), whole.splats().bindings().len());
+    let (n, m) = (
+        here.splats().bindings().len(),
+        whole.splats().bindings().len(),
+    );
     assert!(n.abs_diff(m) <= 2 && n > 20, "{n} and {m} bound splats");
     let motion = moved(&poses(&first(&scene)), &poses(whole.splats()));
-    assert!(motion.iter().filter(|d| d.abs() > 1e-4).count() > 30, "nodes are trained");
+    assert!(
+        motion.iter().filter(|d| d.abs() > 1e-4).count() > 30,
+        "nodes are trained"
+    );
 
     let mut half = Trainer::new(&capture, first(&scene), config(60), SimdLevel::best()).unwrap();
     half.use_backend(backend(&gpu)).unwrap();
     half.run_until(33, &Silent, &mut |_| {}).unwrap();
     let (saved, state) = (half.scene(), half.state());
-    let mut rest = Trainer::resume(&capture, saved.splats, &state, config(60), SimdLevel::best()).unwrap();
+    let mut rest = Trainer::resume(
+        &capture,
+        saved.splats,
+        &state,
+        config(60),
+        SimdLevel::best(),
+    )
+    .unwrap();
     rest.use_backend(backend(&gpu)).unwrap();
     rest.run(&Silent, &mut |_| {}).unwrap();
     assert!(whole.splats() == rest.splats(), "resumed");

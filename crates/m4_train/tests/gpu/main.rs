@@ -1,5 +1,6 @@
-//! Training steps on a GPU agree with those of the CPU. Without a GPU they run on a software Vulkan driver (lavapipe), where
-//! that is installed (`apt-get install mesa-vulkan-drivers`); without that either, every test says so and ends.
+//! Training steps on a GPU agree with those of the CPU. Without a GPU they run on a software Vulkan
+//! driver (lavapipe), where that is installed (`apt-get install mesa-vulkan-drivers`); without that
+//! either, every test says so and ends.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 

@@ -35,7 +35,9 @@ fn rates() -> Vec<f32> {
 
 /// The image drawn last is that of the CPU.
 fn check(trainer: &GpuTrainer, splats: &Splats, view: &View) {
-    let want = Renderer::new(SimdLevel::best()).render(splats, view).clone();
+    let want = Renderer::new(SimdLevel::best())
+        .render(splats, view)
+        .clone();
     let got = trainer.frame().unwrap();
     let planes = got.rgb.iter().flatten().zip(want.rgb.iter().flatten());
     let worst = planes.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
@@ -48,9 +50,18 @@ fn the_first_frame_allocates_enough_tile_entries() {
         return;
     };
     let (splats, view) = wide();
-    let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [image(0)], usize::MAX).unwrap();
+    let mut trainer = GpuTrainer::new(
+        gpu,
+        &splats,
+        &AdamState::new(&splats),
+        [image(0)],
+        usize::MAX,
+    )
+    .unwrap();
     let rates = rates();
-    trainer.step(&[StepView::new(0, &view)], &settings(&rates)).unwrap();
+    trainer
+        .step(&[StepView::new(0, &view)], &settings(&rates))
+        .unwrap();
     check(&trainer, &splats, &view);
     trainer.stats().unwrap();
     assert!(trainer.room() > FIRST);
@@ -64,18 +75,33 @@ fn tile_entries_are_reallocated_after_an_overflow() {
     let (splats, view) = wide();
     // the first sees nothing
     let away = View { near: 1e9, ..view };
-    let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [image(0)], usize::MAX).unwrap();
+    let mut trainer = GpuTrainer::new(
+        gpu,
+        &splats,
+        &AdamState::new(&splats),
+        [image(0)],
+        usize::MAX,
+    )
+    .unwrap();
     let rates = rates();
-    trainer.step(&[StepView::new(0, &away)], &settings(&rates)).unwrap();
+    trainer
+        .step(&[StepView::new(0, &away)], &settings(&rates))
+        .unwrap();
     // a frame without room moves nothing
     let moving = vec![1e-3; LAYOUT.columns()];
-    trainer.step(&[StepView::new(0, &view)], &settings(&moving)).unwrap();
+    trainer
+        .step(&[StepView::new(0, &view)], &settings(&moving))
+        .unwrap();
     let (same, adam) = trainer.download().unwrap();
     assert!(same == splats && adam == AdamState::new(&splats));
     let stats = trainer.stats().unwrap();
     let room = trainer.room();
-    assert!(room > FIRST && stats.l1.is_finite() && stats.splats_are_finite && stats.touched == 0.0);
-    trainer.step(&[StepView::new(0, &view)], &settings(&rates)).unwrap();
+    assert!(
+        room > FIRST && stats.l1.is_finite() && stats.splats_are_finite && stats.touched == 0.0
+    );
+    trainer
+        .step(&[StepView::new(0, &view)], &settings(&rates))
+        .unwrap();
     check(&trainer, &splats, &view);
     trainer.stats().unwrap();
     assert_eq!(trainer.room(), room);
@@ -83,18 +109,33 @@ fn tile_entries_are_reallocated_after_an_overflow() {
 
 #[test]
 fn steps_give_the_same_bits_every_time() {
-    let Some(gpu) = gpu("bits of steps") else { return };
+    let Some(gpu) = gpu("bits of steps") else {
+        return;
+    };
     let (splats, view) = start();
     let rates = vec![1e-3; LAYOUT.columns()];
     let once = |budget| {
         let frames = [image(0), image(1)];
-        let mut trainer = GpuTrainer::new(gpu.clone(), &splats, &AdamState::new(&splats), &frames, budget).unwrap();
+        let mut trainer = GpuTrainer::new(
+            gpu.clone(),
+            &splats,
+            &AdamState::new(&splats),
+            &frames,
+            budget,
+        )
+        .unwrap();
         for i in 0..6 {
-            trainer.step(&[StepView::new(i % 2, &view)], &settings(&rates)).unwrap();
+            trainer
+                .step(&[StepView::new(i % 2, &view)], &settings(&rates))
+                .unwrap();
         }
         let (splats, adam) = trainer.download().unwrap();
         let bits = |of: &Splats| columns(of).iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-        (bits(&splats), bits(&adam.v), trainer.stats().unwrap().l1.to_bits())
+        (
+            bits(&splats),
+            bits(&adam.v),
+            trainer.stats().unwrap().l1.to_bits(),
+        )
     };
     // frames on the device, one of them streamed, both
     let want = once(usize::MAX);
@@ -104,10 +145,19 @@ fn steps_give_the_same_bits_every_time() {
 
 fn trainer(gpu: Gpu) -> (GpuTrainer, View) {
     let (splats, view) = start();
-    let mut trainer = GpuTrainer::new(gpu, &splats, &AdamState::new(&splats), [image(0)], usize::MAX).unwrap();
+    let mut trainer = GpuTrainer::new(
+        gpu,
+        &splats,
+        &AdamState::new(&splats),
+        [image(0)],
+        usize::MAX,
+    )
+    .unwrap();
     let rates = vec![1e-3; LAYOUT.columns()];
     for _ in 0..2 {
-        trainer.step(&[StepView::new(0, &view)], &settings(&rates)).unwrap();
+        trainer
+            .step(&[StepView::new(0, &view)], &settings(&rates))
+            .unwrap();
     }
     (trainer, view)
 }
@@ -130,6 +180,8 @@ fn the_order_in_memory_is_that_of_the_cpu() {
     assert!(got == (splats.gather(&order).unwrap(), want));
     assert_ne!(got.0, splats);
     let rates = vec![1e-3; LAYOUT.columns()];
-    trainer.step(&[StepView::new(0, &view)], &settings(&rates)).unwrap();
+    trainer
+        .step(&[StepView::new(0, &view)], &settings(&rates))
+        .unwrap();
     assert!(trainer.stats().unwrap().touched > 0.0);
 }

@@ -1,6 +1,8 @@
 //! Training on a GPU learns what training on the CPU learns.
 
-use crate::common::{FRAMES, add_harmonics, disturbed, filmed, halves_have_the_colour_of_their_time, video};
+use crate::common::{
+    FRAMES, add_harmonics, disturbed, filmed, halves_have_the_colour_of_their_time, video,
+};
 use crate::gpu;
 use m4_core::{Capture, Column, Silent, Splats};
 use m4_kernels::gpu::Gpu;
@@ -35,22 +37,42 @@ fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 5;
-    config.density = DensityConfig { from: 0.2, every: 0.2, prune_every: 0.4, ..DensityConfig::fast() };
+    config.density = DensityConfig {
+        from: 0.2,
+        every: 0.2,
+        prune_every: 0.4,
+        ..DensityConfig::fast()
+    };
     config
 }
 
 /// Density control as 3DGS does it.
 fn by_gradient(iterations: usize) -> TrainConfig {
-    let density = DensityConfig { from: 0.25, every: 0.25, until: 0.7, ..DensityConfig::by_gradient() };
-    TrainConfig { density, ..config(iterations) }
+    let density = DensityConfig {
+        from: 0.25,
+        every: 0.25,
+        until: 0.7,
+        ..DensityConfig::by_gradient()
+    };
+    TrainConfig {
+        density,
+        ..config(iterations)
+    }
 }
 
-fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu: Option<&Gpu>) -> Trainer<'a> {
+fn train<'a>(
+    scene: &MovingScene,
+    capture: &'a Capture,
+    config: TrainConfig,
+    gpu: Option<&Gpu>,
+) -> Trainer<'a> {
     let mut trainer = Trainer::new(capture, start(scene), config, SimdLevel::best()).unwrap();
     if let Some(gpu) = gpu {
         trainer.use_backend(backend(gpu, None)).unwrap();
     }
-    trainer.run(&Silent, &mut |event| assert!(event.loss.is_finite())).unwrap();
+    trainer
+        .run(&Silent, &mut |event| assert!(event.loss.is_finite()))
+        .unwrap();
     trainer
 }
 
@@ -79,10 +101,20 @@ fn a_gpu_learns_what_the_cpu_learns() {
     };
     let (scene, capture) = video();
     let before = psnr(&start(&scene), &scene, &capture);
-    // One round each: in so short a run, a second one splits splats that are not trained yet, and what follows multiplies every
-    // rounding difference by a hundred.
-    let density = DensityConfig { from: 0.4, every: 0.4, prune_every: 0.4, ..DensityConfig::faithful() };
-    let faithful = TrainConfig { iterations: 60, seed: 5, density, ..TrainConfig::faithful() };
+    // One round each: in so short a run, a second one splits splats that are not trained yet, and
+    // what follows multiplies every rounding difference by a hundred.
+    let density = DensityConfig {
+        from: 0.4,
+        every: 0.4,
+        prune_every: 0.4,
+        ..DensityConfig::faithful()
+    };
+    let faithful = TrainConfig {
+        iterations: 60,
+        seed: 5,
+        density,
+        ..TrainConfig::faithful()
+    };
     let mut by_gradient = by_gradient(80);
     (by_gradient.density.from, by_gradient.density.every) = (0.4, 0.4);
     let mut drawn = config(60);
@@ -91,11 +123,20 @@ fn a_gpu_learns_what_the_cpu_learns() {
     everything.batch = 2;
     let refine = &mut everything.refine;
     (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 10);
-    for (config, gain) in [(config(120), 2.0), (faithful, 0.7), (drawn, 1.0), (everything, 1.0), (by_gradient, 0.3)] {
+    for (config, gain) in [
+        (config(120), 2.0),
+        (faithful, 0.7),
+        (drawn, 1.0),
+        (everything, 1.0),
+        (by_gradient, 0.3),
+    ] {
         let here = train(&scene, &capture, config.clone(), None);
         let there = train(&scene, &capture, config, Some(&gpu));
         let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
-        assert!(a > before + gain, "the CPU learns: {before:.2} to {a:.2} dB");
+        assert!(
+            a > before + gain,
+            "the CPU learns: {before:.2} to {a:.2} dB"
+        );
         assert!((a - b).abs() < 0.1, "CPU {a:.3} dB, GPU {b:.3} dB");
         let (n, m) = (here.splats().n() as f64, there.splats().n() as f64);
         assert!((n - m).abs() < 0.03 * n + 2.0, "{n} and {m} splats");
@@ -120,7 +161,14 @@ fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
     half.use_backend(backend(&gpu, None)).unwrap();
     half.run_until(33, &Silent, &mut |_| {}).unwrap();
     let (saved, state) = (half.scene(), half.state());
-    let mut rest = Trainer::resume(&capture, saved.splats, &state, config(60), SimdLevel::best()).unwrap();
+    let mut rest = Trainer::resume(
+        &capture,
+        saved.splats,
+        &state,
+        config(60),
+        SimdLevel::best(),
+    )
+    .unwrap();
     rest.use_backend(backend(&gpu, None)).unwrap();
     rest.run(&Silent, &mut |_| {}).unwrap();
     assert!(whole.splats() == rest.splats(), "resumed");
@@ -134,7 +182,8 @@ fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed()
     };
     let (scene, capture) = video();
     let run = |limit_mb: Option<usize>| {
-        let mut trainer = Trainer::new(&capture, start(&scene), config(12), SimdLevel::best()).unwrap();
+        let mut trainer =
+            Trainer::new(&capture, start(&scene), config(12), SimdLevel::best()).unwrap();
         trainer.use_backend(backend(&gpu, limit_mb)).unwrap();
         let end = trainer.run(&Silent, &mut |_| {});
         (end, trainer.splats().clone())
@@ -153,26 +202,46 @@ fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed()
 
 #[test]
 fn halves_drawn_on_the_device_have_the_colour_of_their_time() {
-    let Some(gpu) = gpu("phases of harmonics of time") else { return };
+    let Some(gpu) = gpu("phases of harmonics of time") else {
+        return;
+    };
     halves_have_the_colour_of_their_time(Some(backend(&gpu, None)));
 }
 
 /// Degrees rise on the way, in steps of two frames.
 #[test]
 fn harmonics_of_colours_are_trained_on_the_device_as_on_the_cpu() {
-    let Some(gpu) = gpu("harmonics of colours") else { return };
+    let Some(gpu) = gpu("harmonics of colours") else {
+        return;
+    };
     let (scene, _) = video();
     let mut truth = scene.splats.clone();
     add_harmonics(&mut truth, (1, 1));
     let capture = filmed(&truth, &scene.cameras);
-    let mut config = TrainConfig { batch: 2, colour_degree: ColourDegree { space: 1, time: 1 }, ..config(60) };
+    let mut config = TrainConfig {
+        batch: 2,
+        colour_degree: ColourDegree { space: 1, time: 1 },
+        ..config(60)
+    };
     config.density.enabled = false;
-    let [here, there] = [None, Some(&gpu)].map(|gpu| train(&scene, &capture, config.clone(), gpu).into_scene().splats);
-    assert_eq!((there.layout().sh_degree, there.layout().time_degree), (1, 1));
+    let [here, there] = [None, Some(&gpu)].map(|gpu| {
+        train(&scene, &capture, config.clone(), gpu)
+            .into_scene()
+            .splats
+    });
+    assert_eq!(
+        (there.layout().sh_degree, there.layout().time_degree),
+        (1, 1)
+    );
     let columns = here.layout().range(Column::Colour);
-    // Adam turns the last digits of small gradients into whole steps: single coefficients differ, all together do not.
+    // Adam turns the last digits of small gradients into whole steps: single coefficients differ,
+    // all together do not.
     let (mut size, mut difference) = (0.0, 0.0);
-    for (a, b) in here.columns()[columns.clone()].iter().zip(&there.columns()[columns]).skip(3) {
+    for (a, b) in here.columns()[columns.clone()]
+        .iter()
+        .zip(&there.columns()[columns])
+        .skip(3)
+    {
         assert!(a.iter().any(|&v| v != 0.0));
         for (a, b) in a.iter().zip(b) {
             size += f64::from(a * a);
@@ -180,5 +249,8 @@ fn harmonics_of_colours_are_trained_on_the_device_as_on_the_cpu() {
         }
     }
     let share = (difference / size).sqrt();
-    assert!(share < 0.1, "the coefficients differ by {share:.4} of their size");
+    assert!(
+        share < 0.1,
+        "the coefficients differ by {share:.4} of their size"
+    );
 }

@@ -1,7 +1,10 @@
 //! The completed cloud: a square slides behind a pillar, and tracks know where it is meanwhile.
 
 use crate::on_threads;
-use m4_core::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Se3, Silent, Splats, Tracks};
+use m4_core::{
+    Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Se3, Silent, Splats,
+    Tracks,
+};
 use m4_train::init::{InitConfig, TrackedInit, VelocityInit, initialise};
 
 const WALL: f32 = 4.0;
@@ -13,7 +16,10 @@ const FRAMES: usize = 12;
 const SIDE: usize = 24;
 
 fn camera() -> Camera {
-    Camera { intrinsics: Intrinsics::centred(96, 64, 100.0), c2w: Se3::identity() }
+    Camera {
+        intrinsics: Intrinsics::centred(96, 64, 100.0),
+        c2w: Se3::identity(),
+    }
 }
 
 /// The middle of the square.
@@ -53,10 +59,17 @@ fn capture(tracks: Option<Tracks>) -> Capture {
         instances: None,
         camera_index: None,
     };
-    Capture { frames: (0..FRAMES).map(frame).collect(), time_frames: FRAMES, duration_s: None, metric: true, tracks }
+    Capture {
+        frames: (0..FRAMES).map(frame).collect(),
+        time_frames: FRAMES,
+        duration_s: None,
+        metric: true,
+        tracks,
+    }
 }
 
-/// A grid of points of the square, known in all frames and seen where the pillar does not hide them; `bend` changes places.
+/// A grid of points of the square, known in all frames and seen where the pillar does not hide
+/// them; `bend` changes places.
 fn tracks(bend: impl Fn(usize, usize, [f32; 3]) -> [f32; 3]) -> Tracks {
     let count = SIDE * SIDE;
     let (mut xyz, mut visible) = (Vec::new(), Vec::new());
@@ -89,11 +102,17 @@ fn config(tracked: TrackedInit) -> InitConfig {
 }
 
 fn on() -> TrackedInit {
-    TrackedInit { enabled: true, ..TrackedInit::default() }
+    TrackedInit {
+        enabled: true,
+        ..TrackedInit::default()
+    }
 }
 
 fn off() -> TrackedInit {
-    TrackedInit { enabled: false, ..TrackedInit::default() }
+    TrackedInit {
+        enabled: false,
+        ..TrackedInit::default()
+    }
 }
 
 /// Places, colours and times of the dynamic part.
@@ -116,7 +135,9 @@ fn is_hidden(p: [f32; 3]) -> bool {
 }
 
 fn run(tracks: Option<Tracks>, tracked: TrackedInit) -> Splats {
-    let splats = initialise(&capture(tracks), &config(tracked), &Silent).expect("a usable capture").splats;
+    let splats = initialise(&capture(tracks), &config(tracked), &Silent)
+        .expect("a usable capture")
+        .splats;
     assert!(splats.is_finite());
     splats
 }
@@ -128,11 +149,21 @@ fn a_hidden_region_is_filled_from_the_frames_that_see_it() {
     let with = moving(&run(Some(true_tracks()), on()));
     assert!(with.len() > without.len() + 300);
     let hidden: Vec<_> = with.iter().filter(|(p, _, _)| is_hidden(*p)).collect();
-    assert_eq!(with.len() - without.len(), hidden.len(), "nothing else is added");
+    assert_eq!(
+        with.len() - without.len(),
+        hidden.len(),
+        "nothing else is added"
+    );
     for (p, rgb, t) in hidden {
         let x = p[0] - middle(*t as usize);
-        assert!(x.abs() < 0.25 && (p[2] - SQUARE).abs() < 1e-3, "{p:?} at {t}");
-        assert!((rgb[0] - 200.0 / 255.0).abs() < 0.02 && rgb[1] < 0.2, "{rgb:?}");
+        assert!(
+            x.abs() < 0.25 && (p[2] - SQUARE).abs() < 1e-3,
+            "{p:?} at {t}"
+        );
+        assert!(
+            (rgb[0] - 200.0 / 255.0).abs() < 0.02 && rgb[1] < 0.2,
+            "{rgb:?}"
+        );
     }
     // without tracks nothing happens
     assert_eq!(moving(&run(None, on())), without);
@@ -145,7 +176,10 @@ fn points_of_the_frames_win_where_both_exist() {
     let everywhere = TrackedInit { seen: true, ..on() };
     let all = run(Some(true_tracks()), everywhere).n_dynamic() - without.n_dynamic();
     let samples = FRAMES * SIDE * SIDE;
-    assert!(all >= hidden && all - hidden < samples / 20, "{all} {hidden} of {samples}");
+    assert!(
+        all >= hidden && all - hidden < samples / 20,
+        "{all} {hidden} of {samples}"
+    );
     // a little behind the surface there is room
     let behind = tracks(|_, _, p| p.map(|v| 1.03 * v));
     let doubled = run(Some(behind), everywhere).n_dynamic() - without.n_dynamic();
@@ -166,10 +200,20 @@ fn implausible_track_points_are_dropped() {
     assert_eq!(added(&|_, _, p| [p[0], p[1], -p[2]], everywhere), 0);
     // far behind the wall: implausible, so it must be rejected
     let far = |_: usize, _: usize, p: [f32; 3]| p.map(|v| 4.0 * v);
-    let hidden_far = Tracks::new(FRAMES, SIDE * SIDE, tracks(far).xyz().to_vec(), vec![false; FRAMES * SIDE * SIDE]);
-    let colours = hidden_far.unwrap().with_colours(vec![[200, 40, 40]; SIDE * SIDE]).unwrap();
+    let hidden_far = Tracks::new(
+        FRAMES,
+        SIDE * SIDE,
+        tracks(far).xyz().to_vec(),
+        vec![false; FRAMES * SIDE * SIDE],
+    );
+    let colours = hidden_far
+        .unwrap()
+        .with_colours(vec![[200, 40, 40]; SIDE * SIDE])
+        .unwrap();
     assert_eq!(run(Some(colours.clone()), everywhere).n_dynamic(), without);
-    let trusted = colours.with_confidence(&vec![0.9; FRAMES * SIDE * SIDE]).unwrap();
+    let trusted = colours
+        .with_confidence(&vec![0.9; FRAMES * SIDE * SIDE])
+        .unwrap();
     assert!(run(Some(trusted), everywhere).n_dynamic() > without + 1000);
     // a jump there and back
     let jump = |t: usize, _: usize, p: [f32; 3]| if t == 6 { [p[0], p[1], 1.6 * p[2]] } else { p };
@@ -184,11 +228,20 @@ fn implausible_track_points_are_dropped() {
 fn threads_do_not_change_a_bit() {
     let run = |threads| {
         on_threads(threads, || {
-            let config =
-                InitConfig { velocity: InitConfig::fast().velocity, ..config(TrackedInit { seen: true, ..on() }) };
-            initialise(&capture(Some(true_tracks())), &config, &Silent).unwrap().splats
+            let config = InitConfig {
+                velocity: InitConfig::fast().velocity,
+                ..config(TrackedInit { seen: true, ..on() })
+            };
+            initialise(&capture(Some(true_tracks())), &config, &Silent)
+                .unwrap()
+                .splats
         })
     };
-    let bits = |s: &Splats| -> Vec<u32> { s.columns().iter().flat_map(|c| c.iter().map(|v| v.to_bits())).collect() };
+    let bits = |s: &Splats| -> Vec<u32> {
+        s.columns()
+            .iter()
+            .flat_map(|c| c.iter().map(|v| v.to_bits()))
+            .collect()
+    };
     assert_eq!(bits(&run(1)), bits(&run(3)));
 }

@@ -1,5 +1,5 @@
-// Bound splats and their windows from the payload: the other side of crates/m4_viewer/src/payload/bound, which
-// describes them byte for byte.
+// Bound splats and their windows from the payload: the other side of
+// crates/m4_viewer/src/payload/bound, which describes them byte for byte.
 
 import { type Planes, damaged } from "./planes";
 import type { BoundData, MotionWindow } from "./scene";

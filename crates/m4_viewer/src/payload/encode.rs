@@ -1,7 +1,9 @@
 //! Encodes splats as bytes.
 
 use super::bound::{self, Bound};
-use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, VERSION_BOUND, bytes_per_splat, push_planes};
+use super::{
+    LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, VERSION_BOUND, bytes_per_splat, push_planes,
+};
 use super::{Linear, Sinh, rotation_code};
 use m4_core::{Column, Scene, SplatLayout, Splats};
 
@@ -22,12 +24,13 @@ pub struct Payload {
 
 /// `Y_0` of the spherical harmonics: colours are `1/2 + Y_0 K + ...`.
 const SH_C0: f64 = 0.282_094_791_773_878_14;
-/// Steps of a position to a pixel of the source video at the median depth: at 16 the loss is first seen beside that of the
-/// scales.
+/// Steps of a position to a pixel of the source video at the median depth: at 16 the loss is first
+/// seen beside that of the scales.
 const POSITION_STEPS_PER_PX: f64 = 32.0;
 /// Steps of a colour from black to white: that of the source video.
 const COLOUR_STEPS: f64 = 255.0;
-/// Steps of a small displacement in a splat's life to a pixel, and of a large one to its size over e.
+/// Steps of a small displacement in a splat's life to a pixel, and of a large one to its size over
+/// e.
 pub(super) const VELOCITY_STEPS: f64 = 64.0;
 /// Coarsest step of the logarithm of a scale: from the largest splat down to a millionth of it.
 const SCALE_STEP: f64 = 0.055;
@@ -36,8 +39,8 @@ const EVEN_SHARE: f64 = 0.1;
 /// The least opacity that is drawn (docs/spec/optimiser.md 1.7).
 const ALPHA_MIN: f64 = 1.0 / 255.0;
 
-/// The splats that can be seen. Those whose opacity never exceeds 1/255 in the time of the scene, or
-/// that have a NaN or infinite parameter, are left out. `median_depth` is that of what the
+/// The splats that can be seen. Those whose opacity never exceeds 1/255 in the time of the scene,
+/// or that have a NaN or infinite parameter, are left out. `median_depth` is that of what the
 /// source cameras see, world units: it sets the size of a pixel.
 pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     let splats = &scene.splats;
@@ -51,11 +54,19 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     let (a, b) = bytes_per_splat(layout);
     let mut bytes = Vec::with_capacity(super::HEADER_BYTES + n_static * a + n_dynamic * b);
     bytes.extend_from_slice(MAGIC);
-    let version = if bound.is_empty() { VERSION } else { VERSION_BOUND };
+    let version = if bound.is_empty() {
+        VERSION
+    } else {
+        VERSION_BOUND
+    };
     for v in [version, n_static as u32, n_dynamic as u32] {
         bytes.extend_from_slice(&v.to_le_bytes());
     }
-    let kinds = [layout.sh_degree as u8, layout.time_degree as u8, u8::from(layout.isotropic)];
+    let kinds = [
+        layout.sh_degree as u8,
+        layout.time_degree as u8,
+        u8::from(layout.isotropic),
+    ];
     bytes.extend_from_slice(&kinds);
     bytes.extend_from_slice(&[0; 5]);
     for v in codes.numbers() {
@@ -83,7 +94,9 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     };
     for (k, sinh) in codes.mean.iter().enumerate() {
         let from = splats.column(Column::Mean, k);
-        column(3, &rows, &|r| sinh.code(moved(r, from[r], Column::Velocity, k)));
+        column(3, &rows, &|r| {
+            sinh.code(moved(r, from[r], Column::Velocity, k))
+        });
     }
     for k in 0..layout.range(Column::LogScale).len() {
         let from = splats.column(Column::LogScale, k);
@@ -97,11 +110,24 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     column(1, &rows, &|r| (sigmoid(logit[r]) * 255.0).round() as u32);
     for k in 0..layout.range(Column::Colour).len() {
         let from = splats.column(Column::Colour, k);
-        let value = |r: usize| if k < 3 { moved(r, from[r], Column::Trend, k) } else { from[r] };
-        column(2, &rows, &|r| (f64::from(value(r)) / codes.colour_step + MIDDLE_16).round().clamp(0.0, 65535.0) as u32);
+        let value = |r: usize| {
+            if k < 3 {
+                moved(r, from[r], Column::Trend, k)
+            } else {
+                from[r]
+            }
+        };
+        column(2, &rows, &|r| {
+            (f64::from(value(r)) / codes.colour_step + MIDDLE_16)
+                .round()
+                .clamp(0.0, 65535.0) as u32
+        });
     }
     let late: Vec<usize> = free.iter().map(|r| r - splats.n_static()).collect();
-    let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
+    let (time, sd) = (
+        splats.column(Column::TimeMean, 0),
+        splats.column(Column::LogTimeSd, 0),
+    );
     column(2, &late, &|r| codes.time.code(time[r]));
     column(1, &late, &|r| codes.sd.code(sd[r]));
     for k in 0..3 {
@@ -109,7 +135,13 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
         column(2, &late, &|r| codes.velocity.code(from[r]));
     }
     bound.push(scene, &of_bound, &codes.mean, &mut bytes);
-    Payload { bytes, n_static, n_dynamic, n_bound, layout }
+    Payload {
+        bytes,
+        n_static,
+        n_dynamic,
+        n_bound,
+        layout,
+    }
 }
 
 struct Codes {
@@ -126,7 +158,11 @@ struct Codes {
 impl Codes {
     fn of(scene: &Scene, rows: &[usize], free: &[usize], median_depth: f64) -> Self {
         let splats = &scene.splats;
-        let depth = if median_depth.is_finite() && median_depth > 0.0 { median_depth } else { 1.0 };
+        let depth = if median_depth.is_finite() && median_depth > 0.0 {
+            median_depth
+        } else {
+            1.0
+        };
         let middle = scene.source.get(scene.source.len() / 2).map(|s| s.camera);
         let centre = middle.map_or([0.0; 3], |c| c.centre().into());
         // without a camera, the pixel of a phone's video at 480 pixels
@@ -134,16 +170,27 @@ impl Codes {
         let step = 1.0 / (focal_px * POSITION_STEPS_PER_PX);
         let scales = splats.layout().range(Column::LogScale).len();
         let late = || free.iter().map(|r| r - splats.n_static());
-        let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
-        let mut lives: Vec<f64> =
-            late().map(|r| (LIFE_SDS * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64)).collect();
+        let (time, sd) = (
+            splats.column(Column::TimeMean, 0),
+            splats.column(Column::LogTimeSd, 0),
+        );
+        let mut lives: Vec<f64> = late()
+            .map(|r| (LIFE_SDS * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64))
+            .collect();
         let half = lives.len() / 2;
-        let life = if lives.is_empty() { 1.0 } else { *lives.select_nth_unstable_by(half, f64::total_cmp).1 };
+        let life = if lives.is_empty() {
+            1.0
+        } else {
+            *lives.select_nth_unstable_by(half, f64::total_cmp).1
+        };
         Self {
             px: depth / focal_px,
             mean: std::array::from_fn(|k| Sinh::mean(centre[k], EVEN_SHARE * depth, step)),
             scale: Linear::over(
-                (0..scales).flat_map(|k| rows.iter().map(move |&r| splats.column(Column::LogScale, k)[r])),
+                (0..scales).flat_map(|k| {
+                    rows.iter()
+                        .map(move |&r| splats.column(Column::LogScale, k)[r])
+                }),
                 255.0,
                 SCALE_STEP,
             ),
@@ -199,14 +246,20 @@ impl<'a> Shown<'a> {
                 _ if c == splats.layout().column(Column::LogTimeSd) => bound.end,
                 _ => n_static,
             };
-            for (ok, v) in finite[first..].iter_mut().zip(&column[column.len() - (n - first)..]) {
+            for (ok, v) in finite[first..]
+                .iter_mut()
+                .zip(&column[column.len() - (n - first)..])
+            {
                 *ok &= v.is_finite();
             }
         }
         let logit = splats.column(Column::Opacity, 0);
         let last = scene.time_frames.saturating_sub(1) as f64;
-        let seen = |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last) > ALPHA_MIN;
-        let seen_by = |row: usize, depth: f64| finite[row] && 1.0 - (1.0 - sigmoid(logit[row])).powf(depth) > ALPHA_MIN;
+        let seen =
+            |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last) > ALPHA_MIN;
+        let seen_by = |row: usize, depth: f64| {
+            finite[row] && 1.0 - (1.0 - sigmoid(logit[row])).powf(depth) > ALPHA_MIN
+        };
         Self {
             fixed: (0..n_static).filter(|&row| seen(row)).collect(),
             bound: Bound::new(scene, seen_by),
@@ -224,5 +277,9 @@ fn peak(splats: &Splats, row: usize, last: f64) -> f64 {
     let sd = f64::from(splats.column(Column::LogTimeSd, 0)[i]).exp();
     let away = (mean.clamp(0.0, last) - mean) / sd;
     let marginal = (-0.5 * away * away).exp();
-    if marginal > MARGINAL_MIN { marginal } else { 0.0 }
+    if marginal > MARGINAL_MIN {
+        marginal
+    } else {
+        0.0
+    }
 }

@@ -6,9 +6,23 @@ use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 const FRAMES: usize = 10;
 
 fn scene(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Scene {
-    let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.0, 0.0, 4.0]);
-    let spec = SceneSpec { layout, n_static, n_dynamic, time_frames: FRAMES, ..SceneSpec::default() };
-    let source = (0..FRAMES).map(|i| SourceFrame { camera, t: i as f64, exposure: Exposure::IDENTITY });
+    let camera = camera_looking_at(
+        Intrinsics::centred(160, 120, 140.0),
+        [0.3, 0.1, -0.5],
+        [0.0, 0.0, 4.0],
+    );
+    let spec = SceneSpec {
+        layout,
+        n_static,
+        n_dynamic,
+        time_frames: FRAMES,
+        ..SceneSpec::default()
+    };
+    let source = (0..FRAMES).map(|i| SourceFrame {
+        camera,
+        t: i as f64,
+        exposure: Exposure::IDENTITY,
+    });
     Scene {
         splats: random_splats(5, &camera, &spec),
         background: [0.1, 0.2, 0.3],
@@ -23,7 +37,11 @@ fn scene(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Scene {
 fn layouts() -> impl Iterator<Item = SplatLayout> {
     let degrees = [(0, 0), (1, 0), (3, 2), (0, 1)];
     degrees.into_iter().flat_map(|(sh_degree, time_degree)| {
-        [false, true].map(|isotropic| SplatLayout { isotropic, sh_degree, time_degree })
+        [false, true].map(|isotropic| SplatLayout {
+            isotropic,
+            sh_degree,
+            time_degree,
+        })
     })
 }
 
@@ -58,11 +76,18 @@ fn every_layout_comes_back_within_half_a_step() {
         assert!(farthest(splats, &back, Column::Opacity, sigmoid) < 0.00197);
         assert!(farthest(splats, &back, Column::TimeMean, same) < 1e-3);
         assert!(farthest(splats, &back, Column::LogTimeSd, same) < 0.01);
-        // in the ten frames of the clip no splat is off by more than a 64th of a pixel or of its way
+        // in the ten frames of the clip no splat is off by more than a 64th of a pixel or of its
+        // way
         for k in 0..3 {
-            let columns = splats.column(Column::Velocity, k).iter().zip(back.column(Column::Velocity, k));
+            let columns = splats
+                .column(Column::Velocity, k)
+                .iter()
+                .zip(back.column(Column::Velocity, k));
             for (v, w) in columns {
-                assert!(10.0 * (v - w).abs() < (4.0 / 140.0 + 10.0 * v.abs()) / 60.0, "{v} {w}");
+                assert!(
+                    10.0 * (v - w).abs() < (4.0 / 140.0 + 10.0 * v.abs()) / 60.0,
+                    "{v} {w}"
+                );
             }
         }
     }
@@ -76,12 +101,15 @@ fn rotations_come_back_with_either_sign_and_any_length() {
         let back = rotation_value(rotation_code(quat));
         let length = quat.iter().map(|v| v * v).sum::<f32>().sqrt();
         let dot: f32 = quat.iter().zip(back).map(|(a, b)| a / length * b).sum();
-        // half of the angle, radians: three halves of a step (sqrt(2) / 1023), and as much as all of
-        // them together on the component that is left out, where all four are alike
+        // half of the angle, radians: three halves of a step (sqrt(2) / 1023), and as much as all
+        // of them together on the component that is left out, where all four are alike
         assert!(dot.abs().min(1.0).acos() < 0.0025, "{quat:?} {back:?}");
         assert!((back.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5);
     }
-    assert_eq!(rotation_value(rotation_code([0.0; 4]))[0], rotation_value(rotation_code([5.0, 0.0, 0.0, 0.0]))[0]);
+    assert_eq!(
+        rotation_value(rotation_code([0.0; 4]))[0],
+        rotation_value(rotation_code([5.0, 0.0, 0.0, 0.0]))[0]
+    );
 }
 
 #[test]
@@ -101,7 +129,11 @@ fn codes_stay_in_their_bytes() {
 
 #[test]
 fn invisible_splats_are_left_out_of_the_payload() {
-    let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: true,
+        sh_degree: 0,
+        time_degree: 0,
+    };
     let mut scene = scene(layout, 4, 5);
     let splats = &mut scene.splats;
     splats.column_mut(Column::Opacity, 0)[1] = -5.6; // 0.0037 < 1/255
@@ -117,12 +149,19 @@ fn invisible_splats_are_left_out_of_the_payload() {
     assert_eq!((payload.n_static, payload.n_dynamic), (2, 2));
     let back = decode(&payload.bytes).unwrap();
     let times = back.column(Column::TimeMean, 0);
-    assert!((times[0] + 0.5).abs() < 1e-3 && (times[1] - 9.3).abs() < 1e-3, "{times:?}");
+    assert!(
+        (times[0] + 0.5).abs() < 1e-3 && (times[1] - 9.3).abs() < 1e-3,
+        "{times:?}"
+    );
 }
 
 #[test]
 fn an_empty_scene_round_trips() {
-    let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
     let mut scene = scene(layout, 0, 0);
     scene.source.clear();
     let payload = encode(&scene, f64::NAN);
@@ -143,10 +182,22 @@ fn other_bytes_are_errors() {
     assert!(matches!(with(4, 3), PayloadError::Version(3)));
     assert!(matches!(with(16, 4), PayloadError::Degree { .. }));
     assert!(matches!(with(8, 200), PayloadError::Length { .. }));
-    assert!(matches!(with(15, 255), PayloadError::Length { .. }), "no overflow, no allocation");
-    assert!(matches!(decode(&good[..good.len() - 1]), Err(PayloadError::Length { .. })));
-    assert!(matches!(decode(&good[..100]), Err(PayloadError::Header(100))));
+    assert!(
+        matches!(with(15, 255), PayloadError::Length { .. }),
+        "no overflow, no allocation"
+    );
+    assert!(matches!(
+        decode(&good[..good.len() - 1]),
+        Err(PayloadError::Length { .. })
+    ));
+    assert!(matches!(
+        decode(&good[..100]),
+        Err(PayloadError::Header(100))
+    ));
     let mut infinite = good.clone();
     infinite[24..32].copy_from_slice(&f64::INFINITY.to_le_bytes());
-    assert!(matches!(decode(&infinite), Err(PayloadError::Number { index: 0, .. })));
+    assert!(matches!(
+        decode(&infinite),
+        Err(PayloadError::Number { index: 0, .. })
+    ));
 }

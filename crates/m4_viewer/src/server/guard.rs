@@ -3,7 +3,8 @@
 use super::{ServeError, Shared};
 use axum::extract::{Request, State};
 use axum::http::header::{
-    CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, HOST, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+    CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, HOST, REFERRER_POLICY,
+    X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
@@ -12,8 +13,9 @@ use axum::response::{IntoResponse, Response};
 /// Random bytes of a token: 128 bits cannot be guessed.
 const TOKEN_BYTES: usize = 16;
 
-/// The page is one file: nothing is fetched from elsewhere, nothing is sent anywhere but here, nobody
-/// frames it. The scripts in it start workers and a WebAssembly module that they carry with them.
+/// The page is one file: nothing is fetched from elsewhere, nothing is sent anywhere but here,
+/// nobody frames it. The scripts in it start workers and a WebAssembly module that they carry with
+/// them.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' blob: data:; \
                       style-src 'unsafe-inline'; img-src data: blob:; font-src data:; connect-src 'self' data: blob:; \
                       worker-src blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -37,15 +39,19 @@ impl Guard {
             hosts.extend(names.map(str::to_owned));
         }
         let token: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { digest: blake3::hash(token.as_bytes()), token, hosts })
+        Ok(Self {
+            digest: blake3::hash(token.as_bytes()),
+            token,
+            hosts,
+        })
     }
 
     pub fn token(&self) -> &str {
         &self.token
     }
 
-    /// True for a request to this machine by its name. Another name that was made to point here (DNS
-    /// rebinding) belongs to a page of elsewhere.
+    /// True for a request to this machine by its name. Another name that was made to point here
+    /// (DNS rebinding) belongs to a page of elsewhere.
     fn knows_host(&self, request: &Request) -> bool {
         let mut named = request.headers().get_all(HOST).iter();
         let host = named.next().and_then(|h| h.to_str().ok());
@@ -54,16 +60,20 @@ impl Guard {
         host.is_some_and(known) && named.next().is_none() && authority.is_none_or(known)
     }
 
-    /// True if the token is right. Hashes are compared, which takes the same time whatever they are.
+    /// True if the token is right. Hashes are compared, which takes the same time whatever they
+    /// are.
     fn knows_token(&self, request: &Request) -> bool {
         let given = query_value(request.uri().query(), "token");
         given.is_some_and(|token| blake3::hash(token.as_bytes()) == self.digest)
     }
 }
 
-/// The first value of that name in a query. Ours consist of letters and digits, which need no escaping.
+/// The first value of that name in a query. Ours consist of letters and digits, which need no
+/// escaping.
 pub(super) fn query_value<'a>(query: Option<&'a str>, name: &str) -> Option<&'a str> {
-    query?.split('&').find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='))
+    query?
+        .split('&')
+        .find_map(|pair| pair.strip_prefix(name)?.strip_prefix('='))
 }
 
 /// Lets requests through that name the host and the token.
@@ -86,11 +96,19 @@ pub(super) async fn check(State(shared): State<Shared>, request: Request, next: 
         (X_CONTENT_TYPE_OPTIONS, "nosniff"),
         // the address holds the token
         (REFERRER_POLICY, "no-referrer"),
-        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
-        (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+        (
+            HeaderName::from_static("cross-origin-resource-policy"),
+            "same-origin",
+        ),
+        (
+            HeaderName::from_static("cross-origin-opener-policy"),
+            "same-origin",
+        ),
     ];
     for (name, value) in fixed {
-        response.headers_mut().insert(name, HeaderValue::from_static(value));
+        response
+            .headers_mut()
+            .insert(name, HeaderValue::from_static(value));
     }
     response
 }
@@ -102,7 +120,9 @@ mod tests {
     use axum::extract::Request;
 
     fn request(uri: &str, hosts: &[&str]) -> Request {
-        let builder = hosts.iter().fold(Request::get(uri), |b, host| b.header("host", *host));
+        let builder = hosts
+            .iter()
+            .fold(Request::get(uri), |b, host| b.header("host", *host));
         builder.body(Body::empty()).unwrap()
     }
 
@@ -111,11 +131,21 @@ mod tests {
         let guard = Guard::new(4321).unwrap();
         assert!(guard.knows_host(&request("/", &["127.0.0.1:4321"])));
         assert!(guard.knows_host(&request("/", &["LOCALHOST:4321"])));
-        for hosts in [&["127.0.0.1"][..], &["127.0.0.1:80"], &["example.com:4321"], &[], &["localhost:4321", "evil"]] {
+        for hosts in [
+            &["127.0.0.1"][..],
+            &["127.0.0.1:80"],
+            &["example.com:4321"],
+            &[],
+            &["localhost:4321", "evil"],
+        ] {
             assert!(!guard.knows_host(&request("/", hosts)), "{hosts:?}");
         }
         assert!(!guard.knows_host(&request("http://evil:4321/", &["127.0.0.1:4321"])));
-        assert!(Guard::new(80).unwrap().knows_host(&request("/", &["127.0.0.1"])));
+        assert!(
+            Guard::new(80)
+                .unwrap()
+                .knows_host(&request("/", &["127.0.0.1"]))
+        );
     }
 
     #[test]
@@ -125,7 +155,13 @@ mod tests {
         let with = |token: &str| request(&format!("/?seen=3&token={token}"), &[]);
         assert!(a.knows_token(&with(a.token())));
         let (short, long) = (&a.token()[..31], format!("{}0", a.token()));
-        for wrong in [b.token(), short, &long, "", &a.token().to_uppercase().replace(char::is_numeric, "x")] {
+        for wrong in [
+            b.token(),
+            short,
+            &long,
+            "",
+            &a.token().to_uppercase().replace(char::is_numeric, "x"),
+        ] {
             assert!(!a.knows_token(&with(wrong)), "{wrong}");
         }
         assert!(!a.knows_token(&request("/", &[])));

@@ -1,5 +1,5 @@
-//! The state shown by the server, set by the program and read by every request, and the server-sent events that a page has not
-//! received yet.
+//! The state shown by the server, set by the program and read by every request, and the server-sent
+//! events that a page has not received yet.
 
 use super::Shared;
 use super::guard::query_value;
@@ -83,7 +83,8 @@ impl Hub {
         lock(&self.shown).frames = Some(Arc::new(frames));
     }
 
-    /// Shows a scene (`payload` before gzip, and what describes it), and tells every page that is open.
+    /// Shows a scene (`payload` before gzip, and what describes it), and tells every page that is
+    /// open.
     pub fn show(&self, manifest: Manifest, payload: Vec<u8>) {
         let version = {
             let mut shown = lock(&self.shown);
@@ -104,7 +105,10 @@ impl Hub {
             metrics: &'a Metrics,
         }
         // numbers that are not finite become null, which the page leaves out
-        let event = Event { event: "metrics", metrics };
+        let event = Event {
+            event: "metrics",
+            metrics,
+        };
         let Ok(line) = serde_json::to_string(&event) else {
             return;
         };
@@ -122,7 +126,8 @@ impl Hub {
 
     /// Tells that the run has ended; [`metrics`](Self::metrics) begin another one.
     pub fn end(&self, ok: bool) {
-        self.pulse.send_if_modified(|pulse| pulse.end.replace(ok) != Some(ok));
+        self.pulse
+            .send_if_modified(|pulse| pulse.end.replace(ok) != Some(ok));
     }
 
     /// Number of listening pages.
@@ -143,7 +148,12 @@ impl Hub {
         let (mut manifest, payload, frames, version) = {
             let shown = lock(&self.shown);
             let manifest = Manifest::clone(&shown.manifest);
-            (manifest, shown.payload.clone(), shown.frames.clone(), shown.version)
+            (
+                manifest,
+                shown.payload.clone(),
+                shown.frames.clone(),
+                shown.version,
+            )
         };
         // frames belong to the cameras of a scene: of those that do not fit none are shown
         let frames = frames.filter(|f| f.index.offsets.len() == manifest.cameras.len() + 1);
@@ -153,7 +163,11 @@ impl Hub {
             scene: format!("/scene?token={token}"),
             token: token.to_owned(),
         });
-        make(&Parts { manifest: &manifest, payload: payload.as_ref().map(|p| p.as_slice()), frames: frames.as_deref() })
+        make(&Parts {
+            manifest: &manifest,
+            payload: payload.as_ref().map(|p| p.as_slice()),
+            frames: frames.as_deref(),
+        })
     }
 }
 
@@ -174,8 +188,13 @@ pub(super) async fn stream(
     uri: Uri,
 ) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
     let seen = query_value(uri.query(), "seen").and_then(|v| v.parse().ok());
-    let listener =
-        Listener { pulse: shared.hub.subscribe(), hub: shared.hub, version: seen.unwrap_or(0), logged: 0, end: None };
+    let listener = Listener {
+        pulse: shared.hub.subscribe(),
+        hub: shared.hub,
+        version: seen.unwrap_or(0),
+        logged: 0,
+        end: None,
+    };
     let events = unfold(listener, |mut listener| async {
         let text = listener.next().await?;
         Some((Ok(Event::default().data(text)), listener))
@@ -196,7 +215,10 @@ impl Listener {
             }
             if self.version != pulse.version {
                 self.version = pulse.version;
-                return Some(format!("{{\"event\":\"scene\",\"version\":{}}}", pulse.version));
+                return Some(format!(
+                    "{{\"event\":\"scene\",\"version\":{}}}",
+                    pulse.version
+                ));
             }
             if std::mem::replace(&mut self.end, pulse.end) != pulse.end
                 && let Some(ok) = pulse.end

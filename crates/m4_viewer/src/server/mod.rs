@@ -1,10 +1,11 @@
 //! Serves the page from this machine, and notifies it of newer scenes.
 //!
-//! It listens on 127.0.0.1 alone and answers three addresses: `/` (the page with the newest scene and
-//! the frames in it), `/scene` (the newest scene) and `/events` (server-sent events). Nothing that it answers comes from a path in a request, so there is no way into the file
-//! system. Every request must name this machine as its host (a page of elsewhere whose name was made to
-//! point here does not) and carry the token that the address of the page ends in; all others get 403 and are closed. Connections are
-//! few at a time, and closed when they do nothing.
+//! It listens on 127.0.0.1 alone and answers three addresses: `/` (the page with the newest scene
+//! and the frames in it), `/scene` (the newest scene) and `/events` (server-sent events). Nothing
+//! that it answers comes from a path in a request, so there is no way into the file system. Every
+//! request must name this machine as its host (a page of elsewhere whose name was made to point
+//! here does not) and carry the token that the address of the page ends in; all others get 403 and
+//! are closed. Connections are few at a time, and closed when they do nothing.
 //!
 //! An event is a JSON object:
 //!
@@ -14,10 +15,11 @@
 //! {"event":"end","ok":true}
 //! ```
 //!
-//! A page that connects late gets every `metrics` so far; of several scenes that were not fetched only the newest is kept.
+//! A page that connects late gets every `metrics` so far; of several scenes that were not fetched
+//! only the newest is kept.
 //!
-//! The answer to `/scene` is the length of the manifest (u32, little endian), a [`Manifest`](crate::Manifest) as JSON that describes
-//! this scene, and the payload without gzip.
+//! The answer to `/scene` is the length of the manifest (u32, little endian), a
+//! [`Manifest`](crate::Manifest) as JSON that describes this scene, and the payload without gzip.
 
 mod guard;
 mod hub;
@@ -57,7 +59,9 @@ pub enum ServeError {
         source: io::Error,
     },
     /// No random numbers for the token.
-    #[error("the system provides no random numbers, without which any user of this machine could read the scene: {0}")]
+    #[error(
+        "the system provides no random numbers, without which any user of this machine could read the scene: {0}"
+    )]
     Random(String),
     /// No thread or no event loop.
     #[error("cannot start the server: {0}")]
@@ -102,14 +106,19 @@ impl Server {
                     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
                         return;
                     };
-                    let serve = std::pin::pin!(axum::serve(Limited::new(listener), app).into_future());
+                    let serve =
+                        std::pin::pin!(axum::serve(Limited::new(listener), app).into_future());
                     futures_util::future::select(serve, stopped).await;
                 });
                 // pages that are open would keep a graceful end waiting
                 runtime.shutdown_background();
             })
             .map_err(ServeError::Start)?;
-        Ok(Self { url, stop: Some(stop), thread: Some(thread) })
+        Ok(Self {
+            url,
+            stop: Some(stop),
+            thread: Some(thread),
+        })
     }
 
     /// The address of the page, token included.
@@ -142,14 +151,19 @@ fn router(hub: Arc<Hub>, guard: Arc<Guard>) -> Router {
         .route("/", get(show_page))
         .route("/scene", get(show_scene))
         .route("/events", get(hub::stream))
-        .layer(axum::middleware::from_fn_with_state(shared.clone(), guard::check))
+        .layer(axum::middleware::from_fn_with_state(
+            shared.clone(),
+            guard::check,
+        ))
         .with_state(shared)
 }
 
 async fn show_page(State(shared): State<Shared>) -> Response {
     let made = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
-        shared.hub.with_parts(token, |parts| page::compose(TEMPLATE, parts, Compression::fast()))
+        shared.hub.with_parts(token, |parts| {
+            page::compose(TEMPLATE, parts, Compression::fast())
+        })
     });
     answer(made.await, "text/html; charset=utf-8")
 }
@@ -157,15 +171,19 @@ async fn show_page(State(shared): State<Shared>) -> Response {
 async fn show_scene(State(shared): State<Shared>) -> Response {
     let made = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
-        shared.hub.with_parts(token, |parts| -> Result<_, PageError> {
-            match parts.payload {
-                Some(payload) => {
-                    let json = serde_json::to_vec(parts.manifest)?;
-                    Ok(Some([&(json.len() as u32).to_le_bytes()[..], &json, payload].concat()))
+        shared
+            .hub
+            .with_parts(token, |parts| -> Result<_, PageError> {
+                match parts.payload {
+                    Some(payload) => {
+                        let json = serde_json::to_vec(parts.manifest)?;
+                        Ok(Some(
+                            [&(json.len() as u32).to_le_bytes()[..], &json, payload].concat(),
+                        ))
+                    }
+                    None => Ok(None),
                 }
-                None => Ok(None),
-            }
-        })
+            })
     });
     let made = match made.await {
         Ok(Ok(Some(bytes))) => Ok(Ok(bytes)),
@@ -176,7 +194,10 @@ async fn show_scene(State(shared): State<Shared>) -> Response {
     answer(made, "application/octet-stream")
 }
 
-fn answer(made: Result<Result<Vec<u8>, PageError>, tokio::task::JoinError>, kind: &'static str) -> Response {
+fn answer(
+    made: Result<Result<Vec<u8>, PageError>, tokio::task::JoinError>,
+    kind: &'static str,
+) -> Response {
     let failed = |error: &dyn std::fmt::Display| {
         let text = format!("the page cannot be made: {error}\n");
         (StatusCode::INTERNAL_SERVER_ERROR, text).into_response()

@@ -5,13 +5,16 @@ use crate::json::write_json;
 use crate::layout::OBJECTS_FILE;
 use crate::{Error, Refusal};
 use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress};
-use m4_geometry::masks::{Coarse, InstanceError, InstanceReport, RefineSettings, RefinedFrame, VideoSession, refine};
+use m4_geometry::masks::{
+    Coarse, InstanceError, InstanceReport, RefineSettings, RefinedFrame, VideoSession, refine,
+};
 use m4_io::capture::Split;
 use std::path::Path;
 
-/// Refined masks and maps of instances at the size of a capture's images, a pair per frame, and what was found. The dynamic part is read
-/// from the maps of motion where every frame has one, else from the masks. `open` as in [`refine()`]. Refused where a frame says nothing
-/// about the dynamic part.
+/// Refined masks and maps of instances at the size of a capture's images, a pair per frame, and
+/// what was found. The dynamic part is read from the maps of motion where every frame has one, else
+/// from the masks. `open` as in [`refine()`]. Refused where a frame says nothing about the dynamic
+/// part.
 pub fn masks<'a>(
     capture: &Capture,
     settings: &RefineSettings,
@@ -21,7 +24,11 @@ pub fn masks<'a>(
     let coarse = coarse(capture)?;
     let images: Vec<_> = capture.frames.iter().map(|frame| &frame.rgb).collect();
     let refined = refine(&images, &coarse, settings, open, progress).map_err(EnhanceError::from)?;
-    let frames = refined.frames.into_iter().zip(images).map(|(found, image)| at_size(found, image.size()));
+    let frames = refined
+        .frames
+        .into_iter()
+        .zip(images)
+        .map(|(found, image)| at_size(found, image.size()));
     Ok((frames.collect(), refined.report))
 }
 
@@ -33,11 +40,18 @@ pub fn write(
     progress: &dyn Progress,
 ) -> Result<(), Error> {
     m4_io::capture::write(folder, capture, Split::Train, progress)?;
-    report.map_or(Ok(()), |report| write_json(&folder.join(OBJECTS_FILE), report))
+    report.map_or(Ok(()), |report| {
+        write_json(&folder.join(OBJECTS_FILE), report)
+    })
 }
 
 fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
-    if let Some(maps) = capture.frames.iter().map(|frame| frame.motion.as_ref()).collect() {
+    if let Some(maps) = capture
+        .frames
+        .iter()
+        .map(|frame| frame.motion.as_ref())
+        .collect()
+    {
         return Ok(Coarse::Motion(maps));
     }
     let masks = capture.frames.iter().enumerate().map(|(i, frame)| {
@@ -58,11 +72,19 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
     if (w, h) == (width, height) {
         return (found.mask, found.ids);
     }
-    let at = |x: usize, y: usize| ((2 * x + 1) * w / (2 * width), (2 * y + 1) * h / (2 * height));
+    let at = |x: usize, y: usize| {
+        (
+            (2 * x + 1) * w / (2 * width),
+            (2 * y + 1) * h / (2 * height),
+        )
+    };
     let ids = found.ids.to_plane();
     let masks = found.mask.to_mask();
     let mask = CompactMask::from_fn(width, height, |x, y| masks[at(x, y)] != 0);
-    (mask, CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])))
+    (
+        mask,
+        CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])),
+    )
 }
 
 #[cfg(test)]
@@ -83,15 +105,20 @@ mod tests {
 
     fn capture(frames: usize) -> Capture {
         let wave = |x: f32, y: f32| {
-            (128.0 + 50.0 * (x * 0.6).sin() * (y * 0.5).cos() + 40.0 * (0.31 * (x + 2.0 * y)).sin()) as u8
+            (128.0 + 50.0 * (x * 0.6).sin() * (y * 0.5).cos() + 40.0 * (0.31 * (x + 2.0 * y)).sin())
+                as u8
         };
         let colour = |x: usize, y: usize, i: usize| match on_square(x, y, i) {
             true => [wave(3.0 + 1.3 * (x - 2 * i) as f32, 0.9 * y as f32), 20, 20],
             false => [30, wave(x as f32, y as f32), 160],
         };
-        let mut capture = clip(frames, |i| Plane::from_fn(SIZE.0, SIZE.1, |x, y| colour(x, y, i)));
+        let mut capture = clip(frames, |i| {
+            Plane::from_fn(SIZE.0, SIZE.1, |x, y| colour(x, y, i))
+        });
         for (i, frame) in capture.frames.iter_mut().enumerate() {
-            frame.mask = Some(CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| on_square(x + 2, y + 2, i)));
+            frame.mask = Some(CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| {
+                on_square(x + 2, y + 2, i)
+            }));
         }
         capture
     }
@@ -100,7 +127,12 @@ mod tests {
 
     fn refined(capture: &Capture, settings: &RefineSettings) -> Result<Refined, Error> {
         let images: Vec<_> = capture.frames.iter().map(|frame| &frame.rgb).collect();
-        masks(capture, settings, |size| Ok(Box::new(FlowFollower::new(&images, size, None))), &Silent)
+        masks(
+            capture,
+            settings,
+            |size| Ok(Box::new(FlowFollower::new(&images, size, None))),
+            &Silent,
+        )
     }
 
     #[test]
@@ -110,21 +142,40 @@ mod tests {
         for (frame, (mask, ids)) in found.frames.iter_mut().zip(frames) {
             (frame.mask, frame.instances) = (Some(mask), Some(ids));
         }
-        assert_eq!((report.instances.len(), report.coarse.as_str()), (1, "masks"));
-        assert_eq!((report.instances[0].frames, report.instances[0].id), (12, 1));
+        assert_eq!(
+            (report.instances.len(), report.coarse.as_str()),
+            (1, "masks")
+        );
+        assert_eq!(
+            (report.instances[0].frames, report.instances[0].id),
+            (12, 1)
+        );
         for (i, frame) in found.frames.iter().enumerate() {
             let ids = frame.instances.as_ref().unwrap();
-            assert_eq!((ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)), (SIZE, 1, 0), "frame {i}");
+            assert_eq!(
+                (ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)),
+                (SIZE, 1, 0),
+                "frame {i}"
+            );
             assert!(frame.mask.as_ref().unwrap().at(20 + 2 * i, 30));
         }
         let dir = tempfile::tempdir().unwrap();
         write(dir.path(), &found, Some(&report), &Silent).unwrap();
-        let again = m4_io::capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
+        let again = m4_io::capture::read(
+            dir.path(),
+            Split::Train,
+            &CaptureOptions::default(),
+            &Silent,
+        )
+        .unwrap();
         for (a, b) in again.frames.iter().zip(&found.frames) {
             assert_eq!((&a.instances, &a.mask), (&b.instances, &b.mask));
         }
         let text = std::fs::read(dir.path().join(OBJECTS_FILE)).unwrap();
-        assert_eq!(serde_json::from_slice::<InstanceReport>(&text).unwrap(), report);
+        assert_eq!(
+            serde_json::from_slice::<InstanceReport>(&text).unwrap(),
+            report
+        );
     }
 
     #[test]
@@ -132,9 +183,15 @@ mod tests {
         let mut given = capture(4);
         given.frames[2].mask = None;
         let error = refined(&given, &RefineSettings::default()).unwrap_err();
-        assert!(matches!(error, Error::Refused(_)) && error.to_string().contains("00002"), "{error}");
+        assert!(
+            matches!(error, Error::Refused(_)) && error.to_string().contains("00002"),
+            "{error}"
+        );
         assert_eq!(error.category(), Category::BadInput);
-        let wrong = RefineSettings { every_frames: 0, ..RefineSettings::default() };
+        let wrong = RefineSettings {
+            every_frames: 0,
+            ..RefineSettings::default()
+        };
         let error = refined(&capture(4), &wrong).unwrap_err();
         assert_eq!(error.category(), Category::BadSettings);
     }

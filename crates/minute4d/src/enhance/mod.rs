@@ -1,11 +1,12 @@
-//! Better masks for a capture (Minute4D sec. 3.2): dynamic objects are separated, segmented and tracked through the clip.
+//! Better masks for a capture (Minute4D sec. 3.2): dynamic objects are separated, segmented and
+//! tracked through the clip.
 //!
 //! ```text
 //! capture (motion maps, or masks) --m4_geometry::masks, with an object tracker--> capture (masks, instances), report
 //! ```
 //!
-//! [`apply`] also follows points in the new masks ([`m4_geometry::tracks`]); [`crate::geometry`] calls it on what its front ends
-//! find.
+//! [`apply`] also follows points in the new masks ([`m4_geometry::tracks`]); [`crate::geometry`]
+//! calls it on what its front ends find.
 
 mod masks;
 #[cfg(feature = "nets")]
@@ -36,7 +37,12 @@ use plan::{Segmentation, Tracking};
 
 /// Share of the pixels in masks; `None` without masks.
 pub fn moving_share(capture: &Capture) -> Option<f64> {
-    let masks = || capture.frames.iter().filter_map(|frame| frame.mask.as_ref());
+    let masks = || {
+        capture
+            .frames
+            .iter()
+            .filter_map(|frame| frame.mask.as_ref())
+    };
     let pixels: usize = masks().map(|mask| mask.size().0 * mask.size().1).sum();
     let moving: usize = masks().map(CompactMask::count).sum();
     (pixels > 0).then(|| moving as f64 / pixels as f64)
@@ -48,7 +54,8 @@ pub fn nothing_to_do() -> Error {
     Refusal::usage(message).into()
 }
 
-/// Refines masks, then tracks points in them, each a step; returns the statistics of objects if a method tracked them.
+/// Refines masks, then tracks points in them, each a step; returns the statistics of objects if a
+/// method tracked them.
 pub fn apply(
     mut capture: Capture,
     plan: &Plan,
@@ -58,15 +65,19 @@ pub fn apply(
 ) -> Result<(Capture, Option<InstanceReport>), Error> {
     let mut report = None;
     if plan.segmentation != Segmentation::Unchanged {
-        // The report as text, the form in which it is written in the end: its variants are distinguished by names.
+        // The report as text, the form in which it is written in the end: its variants are
+        // distinguished by names.
         let (frames, text): (Vec<_>, String) = steps.keep("masks", |progress| {
-            let (frames, report) = segmented(&capture, &plan.segmentation, settings, device, progress)?;
+            let (frames, report) =
+                segmented(&capture, &plan.segmentation, settings, device, progress)?;
             Ok::<_, Error>((frames, plain_json(&report)?.to_string()))
         })?;
         for (frame, (mask, ids)) in capture.frames.iter_mut().zip(frames) {
             (frame.mask, frame.instances) = (Some(mask), Some(ids));
         }
-        let read = serde_json::from_str(&text).map_err(|e| Error::Internal { what: e.to_string() })?;
+        let read = serde_json::from_str(&text).map_err(|e| Error::Internal {
+            what: e.to_string(),
+        })?;
         report = Some(read);
     }
     let follows = match plan.tracking {
@@ -76,14 +87,19 @@ pub fn apply(
         Tracking::Tapip3d(_) => true,
     };
     if follows {
-        let found = steps.keep("tracks", |progress| tracked(&capture, &plan.tracking, settings, device, progress))?;
+        let found = steps.keep("tracks", |progress| {
+            tracked(&capture, &plan.tracking, settings, device, progress)
+        })?;
         capture.tracks = (found.count() > 0).then_some(found);
     }
     Ok((capture, report))
 }
 
 /// Refined masks and numbers of objects, by the method that tracks objects.
-#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
+#[cfg_attr(
+    not(feature = "nets"),
+    expect(unused_variables, reason = "only networks need it")
+)]
 fn segmented(
     capture: &Capture,
     method: &Segmentation,
@@ -92,27 +108,44 @@ fn segmented(
     progress: &dyn Progress,
 ) -> Result<(Vec<(CompactMask, CompactIds)>, InstanceReport), Error> {
     #[cfg(feature = "nets")]
-    let (images, config): (Vec<_>, _) =
-        (capture.frames.iter().map(|frame| &frame.rgb).collect(), &settings.enhance.masks);
+    let (images, config): (Vec<_>, _) = (
+        capture.frames.iter().map(|frame| &frame.rgb).collect(),
+        &settings.enhance.masks,
+    );
     match method {
         Segmentation::Unchanged => Err(nothing_to_do()),
         #[cfg(feature = "nets")]
         Segmentation::Mobilesam => {
             let segmenter = resolve_segmenter(Segmenter::Mobilesam)?.load()?;
-            let outlines = segmenter.as_deref().map(|segmenter| ("mobilesam+classical", segmenter));
-            masks(capture, config, |size| Ok(Box::new(FlowFollower::new(&images, size, outlines))), progress)
+            let outlines = segmenter
+                .as_deref()
+                .map(|segmenter| ("mobilesam+classical", segmenter));
+            masks(
+                capture,
+                config,
+                |size| Ok(Box::new(FlowFollower::new(&images, size, outlines))),
+                progress,
+            )
         }
         #[cfg(feature = "nets")]
         Segmentation::Sam2(path) => {
             let method = NetworkMethod::Segmenter(Segmenter::Sam2);
             let net = m4_nets::Sam2::load(path, &device.device).map_err(unusable(method))?;
-            masks(capture, config, |size| networks::sam2(net, &images, size), progress)
+            masks(
+                capture,
+                config,
+                |size| networks::sam2(net, &images, size),
+                progress,
+            )
         }
     }
 }
 
 /// Tracks of dynamic points, by the tracking method.
-#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
+#[cfg_attr(
+    not(feature = "nets"),
+    expect(unused_variables, reason = "only networks need it")
+)]
 fn tracked(
     capture: &Capture,
     method: &Tracking,
@@ -133,8 +166,13 @@ fn tracked(
             memory_bytes: config.memory_mb.saturating_mul(1_000_000),
             ..m4_nets::Tapip3dOptions::at((side(w), side(h)))
         };
-        let grid = QueryGrid { every: config.every, spacing_px: config.spacing_px, most: config.most };
-        return Ok(networks::tapip3d(&net, &options, &clip, &grid, progress).map_err(EnhanceError::from)?);
+        let grid = QueryGrid {
+            every: config.every,
+            spacing_px: config.spacing_px,
+            most: config.most,
+        };
+        return Ok(networks::tapip3d(&net, &options, &clip, &grid, progress)
+            .map_err(EnhanceError::from)?);
     }
     Ok(follow(&clip, &QueryGrid::chains(), progress).map_err(EnhanceError::from)?)
 }

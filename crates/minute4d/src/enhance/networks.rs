@@ -4,7 +4,10 @@ use m4_core::{Camera, CompactMask, DepthMap, Plane, Progress, RgbImage, Tracks};
 use m4_geometry::masks::{InstanceError, ObjectId, ObjectMask, ObjectPrompt, VideoSession};
 use m4_geometry::tracks::{CaptureClip, QueryGrid, TrackError};
 use m4_nets::sam2::{self, Clip as NetClip, Direction, VideoPredictor};
-use m4_nets::{ClipError, NetError, PointPrompt, PointQuery, Prompt, Sam2, Sam2Size, Tapip3d, Tapip3dOptions, tapip3d};
+use m4_nets::{
+    ClipError, NetError, PointPrompt, PointQuery, Prompt, Sam2, Sam2Size, Tapip3d, Tapip3dOptions,
+    tapip3d,
+};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -24,16 +27,30 @@ pub(super) fn sam2<'a>(
         Sam2Size::BasePlus => "sam2.1-base-plus",
         Sam2Size::Large => "sam2.1-large",
     };
-    let clip = NetClip { frames: images.len(), width: size.0, height: size.1 };
+    let clip = NetClip {
+        frames: images.len(),
+        width: size.0,
+        height: size.1,
+    };
     let read = Box::new(move |frame: usize| Ok(images[frame].clone()));
     let predictor = VideoPredictor::new(Arc::new(net), clip, read, HOLES_PX);
-    Ok(Box::new(Session { predictor: predictor.map_err(|error| failed(name, 0, error))?, name, size }))
+    Ok(Box::new(Session {
+        predictor: predictor.map_err(|error| failed(name, 0, error))?,
+        name,
+        size,
+    }))
 }
 
 fn failed(segmenter: &str, frame: usize, error: NetError) -> InstanceError {
     match error {
-        NetError::Cancelled => InstanceError::Cancelled { phase: "tracking objects" },
-        other => InstanceError::Source { segmenter: segmenter.to_owned(), frame, reason: Box::new(other) },
+        NetError::Cancelled => InstanceError::Cancelled {
+            phase: "tracking objects",
+        },
+        other => InstanceError::Source {
+            segmenter: segmenter.to_owned(),
+            frame,
+            reason: Box::new(other),
+        },
     }
 }
 
@@ -47,8 +64,14 @@ impl Session<'_> {
     /// Points as the paper asks; a box where there are none.
     fn show(&mut self, frame: usize, prompt: &ObjectPrompt) -> Result<sam2::ObjectMask, NetError> {
         let object = prompt.object.0;
-        let on = prompt.on_px.iter().map(|&at_px| PointPrompt { at_px, on_object: true });
-        let off = prompt.off_px.iter().map(|&at_px| PointPrompt { at_px, on_object: false });
+        let on = prompt.on_px.iter().map(|&at_px| PointPrompt {
+            at_px,
+            on_object: true,
+        });
+        let off = prompt.off_px.iter().map(|&at_px| PointPrompt {
+            at_px,
+            on_object: false,
+        });
         let prompt = Prompt {
             points: on.chain(off).collect(),
             box_px: prompt.on_px.is_empty().then_some(prompt.box_px),
@@ -63,18 +86,31 @@ impl VideoSession for Session<'_> {
         self.name
     }
 
-    fn prompt(&mut self, frame: usize, prompts: &[ObjectPrompt]) -> Result<Vec<ObjectMask>, InstanceError> {
+    fn prompt(
+        &mut self,
+        frame: usize,
+        prompts: &[ObjectPrompt],
+    ) -> Result<Vec<ObjectMask>, InstanceError> {
         let one = |prompt: &ObjectPrompt| {
-            let mask = self.show(frame, prompt).map_err(|error| failed(self.name, frame, error))?;
+            let mask = self
+                .show(frame, prompt)
+                .map_err(|error| failed(self.name, frame, error))?;
             Ok(converted(prompt.object, &mask, self.size))
         };
         prompts.iter().map(one).collect()
     }
 
-    fn set_mask(&mut self, frame: usize, object: ObjectId, mask: &CompactMask) -> Result<(), InstanceError> {
+    fn set_mask(
+        &mut self,
+        frame: usize,
+        object: ObjectId,
+        mask: &CompactMask,
+    ) -> Result<(), InstanceError> {
         let plane = Plane::from_fn(self.size.0, self.size.1, |x, y| mask.at(x, y));
         let shown = self.predictor.show_mask(frame, object.0, &plane);
-        shown.map(drop).map_err(|error| failed(self.name, frame, error))
+        shown
+            .map(drop)
+            .map_err(|error| failed(self.name, frame, error))
     }
 
     fn forget(&mut self, object: ObjectId) {
@@ -110,7 +146,9 @@ impl VideoSession for Session<'_> {
             sink(frame, ours.collect());
             ControlFlow::Continue(())
         };
-        let followed = self.predictor.follow_some(&ids, frames, direction, progress, each);
+        let followed = self
+            .predictor
+            .follow_some(&ids, frames, direction, progress, each);
         followed.map_err(|error| failed(name, at, error))
     }
 }
@@ -122,7 +160,11 @@ fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) ->
     }
     let found = mask.mask_at(size);
     let mask = CompactMask::from_fn(size.0, size.1, |x, y| found[(x, y)]);
-    ObjectMask { object, mask, lost: false }
+    ObjectMask {
+        object,
+        mask,
+        lost: false,
+    }
 }
 
 /// Points are visible from this probability on: upstream's.
@@ -159,17 +201,30 @@ pub(super) fn tapip3d(
 ) -> Result<Tracks, TrackError> {
     let frames = clip.frames();
     let queries = grid.queries(NAME, clip, progress)?;
-    let asked: Vec<PointQuery> =
-        queries.iter().map(|query| PointQuery { frame: query.frame, world: query.xyz.map(f64::from) }).collect();
-    let found = net.track(&Frames(clip), &asked, options, progress).map_err(|error| match error {
-        NetError::Cancelled => TrackError::Cancelled { phase: "tracking points" },
-        other => TrackError::Source { tracker: NAME.to_owned(), reason: Box::new(other) },
-    })?;
+    let asked: Vec<PointQuery> = queries
+        .iter()
+        .map(|query| PointQuery {
+            frame: query.frame,
+            world: query.xyz.map(f64::from),
+        })
+        .collect();
+    let found = net
+        .track(&Frames(clip), &asked, options, progress)
+        .map_err(|error| match error {
+            NetError::Cancelled => TrackError::Cancelled {
+                phase: "tracking points",
+            },
+            other => TrackError::Source {
+                tracker: NAME.to_owned(),
+                reason: Box::new(other),
+            },
+        })?;
     // the network's are ordered by query, ours by frame
     let count = queries.len();
     let at = |i: usize| i % count.max(1) * frames + i / count.max(1);
-    let (xyz, seen): (Vec<_>, Vec<f32>) =
-        (0..frames * count).map(|i| (found.world[at(i)], found.visibility[at(i)])).unzip();
+    let (xyz, seen): (Vec<_>, Vec<f32>) = (0..frames * count)
+        .map(|i| (found.world[at(i)], found.visibility[at(i)]))
+        .unzip();
     let visible = seen.iter().map(|&p| p >= SEEN_FROM).collect();
     Ok(Tracks::new(frames, count, xyz, visible)?.with_confidence(&seen)?)
 }

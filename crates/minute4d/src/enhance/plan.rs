@@ -11,7 +11,12 @@ use std::path::PathBuf;
 
 /// Sizes of SAM 2.1, the best first.
 #[cfg(feature = "nets")]
-const SAM2: [&str; 4] = ["sam2.1-large", "sam2.1-base-plus", "sam2.1-small", "sam2.1-tiny"];
+const SAM2: [&str; 4] = [
+    "sam2.1-large",
+    "sam2.1-base-plus",
+    "sam2.1-small",
+    "sam2.1-tiny",
+];
 
 /// The segmentation method.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -50,7 +55,8 @@ pub struct Plan {
 /// What has been done before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Before {
-    /// Masks that a segmenter of single images sharpened, and chains of flow: only networks with a memory can add to them.
+    /// Masks that a segmenter of single images sharpened, and chains of flow: only networks with a
+    /// memory can add to them.
     Classical,
     /// A map of how likely each pixel moves, and no tracks.
     Motion,
@@ -91,17 +97,33 @@ impl Plan {
     /// Finds the methods; fails if weights are missing, or the build has no networks.
     pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
         let by_flow = before == Before::Motion && matches!(tracker, Tracker::Auto | Tracker::Flow);
-        let tracking = if by_flow { Tracking::Flow } else { Tracking::Unchanged };
-        let plan = Self { segmentation: Segmentation::Unchanged, tracking, used: Vec::new() };
+        let tracking = if by_flow {
+            Tracking::Flow
+        } else {
+            Tracking::Unchanged
+        };
+        let plan = Self {
+            segmentation: Segmentation::Unchanged,
+            tracking,
+            used: Vec::new(),
+        };
         plan.with_networks(segmenter, tracker, before)
     }
 
     #[cfg(feature = "nets")]
-    fn with_networks(mut self, segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
+    fn with_networks(
+        mut self,
+        segmenter: Segmenter,
+        tracker: Tracker,
+        before: Before,
+    ) -> Result<Self, Error> {
         use crate::networks::network;
 
         let method = NetworkMethod::Segmenter(segmenter);
-        let (auto, single) = (segmenter == Segmenter::Auto, segmenter == Segmenter::Mobilesam);
+        let (auto, single) = (
+            segmenter == Segmenter::Auto,
+            segmenter == Segmenter::Mobilesam,
+        );
         let sam2 = segmenter == Segmenter::Sam2;
         if (auto || sam2)
             && let Some((network, path)) = network(&SAM2, sam2, method)?
@@ -116,7 +138,8 @@ impl Plan {
             self.segmentation = Segmentation::Mobilesam;
         }
         if tracker == Tracker::Tapip3d
-            && let Some((network, path)) = network(&["tapip3d"], true, NetworkMethod::Tracker(tracker))?
+            && let Some((network, path)) =
+                network(&["tapip3d"], true, NetworkMethod::Tracker(tracker))?
         {
             self.used.push(network);
             self.tracking = Tracking::Tapip3d(path);
@@ -125,7 +148,12 @@ impl Plan {
     }
 
     #[cfg(not(feature = "nets"))]
-    fn with_networks(self, segmenter: Segmenter, tracker: Tracker, _: Before) -> Result<Self, Error> {
+    fn with_networks(
+        self,
+        segmenter: Segmenter,
+        tracker: Tracker,
+        _: Before,
+    ) -> Result<Self, Error> {
         let method = match (segmenter, tracker) {
             (Segmenter::Mobilesam | Segmenter::Sam2, _) => NetworkMethod::Segmenter(segmenter),
             (_, Tracker::Tapip3d) => NetworkMethod::Tracker(tracker),

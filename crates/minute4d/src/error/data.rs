@@ -38,7 +38,8 @@ pub enum Category {
     BadInput,
     /// An input does not exist.
     NoInput,
-    /// This machine cannot do the computation: a device, a program or weights are missing or fail, or memory is insufficient.
+    /// This machine cannot do the computation: a device, a program or weights are missing or fail,
+    /// or memory is insufficient.
     NoDevice,
     /// An output cannot be written.
     CannotWrite,
@@ -53,8 +54,8 @@ pub enum Category {
 }
 
 impl Category {
-    /// Returns the exit code of this category, after `sysexits.h`. That of [`Category::Stopped`] depends
-    /// on the signal; 130 here.
+    /// Returns the exit code of this category, after `sysexits.h`. That of [`Category::Stopped`]
+    /// depends on the signal; 130 here.
     pub fn exit_code(self) -> u8 {
         match self {
             Self::Internal => 1,
@@ -87,7 +88,8 @@ impl From<ErrorKind> for Category {
     }
 }
 
-/// Why a folder or file cannot be used as an output, although the system would write it ([`Error::Write`](super::Error::Write) is the other case).
+/// Why a folder or file cannot be used as an output, although the system would write it
+/// ([`Error::Write`](super::Error::Write) is the other case).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OutputError {
@@ -144,7 +146,10 @@ pub struct Refusal {
 impl Refusal {
     /// Refuses with a category and a message.
     pub fn new(category: Category, message: impl Into<String>) -> Self {
-        Self { category, message: message.into() }
+        Self {
+            category,
+            message: message.into(),
+        }
     }
 
     /// An argument that is invalid, or that does not go with the others.

@@ -1,7 +1,8 @@
 //! The error type of the library, and the category of each failure.
 //!
-//! [`Error`] has a variant for what a caller may tell apart: the errors of other crates by operation, outputs, settings, networks.
-//! Requests and inputs that cannot be used are [`Refusal`]s, whose messages stand where they are refused. Each says its [`Category`].
+//! [`Error`] has a variant for what a caller may tell apart: the errors of other crates by
+//! operation, outputs, settings, networks. Requests and inputs that cannot be used are
+//! [`Refusal`]s, whose messages stand where they are refused. Each says its [`Category`].
 
 mod data;
 mod network;
@@ -31,7 +32,8 @@ use m4_viewer::server::ServeError;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The command that builds the program with GPU support and networks, for messages about missing features.
+/// The command that builds the program with GPU support and networks, for messages about missing
+/// features.
 pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
 
 /// Why a stage failed.
@@ -106,7 +108,10 @@ pub enum Error {
     #[error(transparent)]
     Gpu(#[from] m4_kernels::gpu::GpuError),
     /// A GPU was requested in a build without GPU support.
-    #[error("this program was built without GPU support: `{BUILD_FULL}` builds it with it; or {}", CPU)]
+    #[error(
+        "this program was built without GPU support: `{BUILD_FULL}` builds it with it; or {}",
+        CPU
+    )]
     NoGpuSupport,
     /// A method that needs a pretrained network.
     #[error(transparent)]
@@ -164,8 +169,14 @@ from_parts_of! {
 
 /// What a path is that exists without leading anywhere.
 fn of_link(path: &Path) -> &'static str {
-    let is_link = path.symlink_metadata().is_ok_and(|facts| facts.is_symlink());
-    if is_link { ", which is a link that leads nowhere, or in a circle" } else { "" }
+    let is_link = path
+        .symlink_metadata()
+        .is_ok_and(|facts| facts.is_symlink());
+    if is_link {
+        ", which is a link that leads nowhere, or in a circle"
+    } else {
+        ""
+    }
 }
 
 impl Error {
@@ -204,9 +215,8 @@ impl Error {
             Self::Refused(e) => e.category,
             Self::Reconstruction(e) => e.category(),
             Self::Enhance(e) => e.category(),
-            Self::Init(InitError::BadSetting { .. }) | Self::Train(TrainError::BadSetting { .. }) => {
-                Category::BadSettings
-            }
+            Self::Init(InitError::BadSetting { .. })
+            | Self::Train(TrainError::BadSetting { .. }) => Category::BadSettings,
             Self::Init(InitError::Stopped) => Category::Stopped,
             Self::Train(TrainError::Device { .. }) => Category::NoDevice,
             Self::Init(_) | Self::Train(_) => Category::BadInput,
@@ -217,9 +227,13 @@ impl Error {
         }
     }
 
-    /// Returns true if the same work may succeed later or on another machine, so that finished work is worth keeping.
+    /// Returns true if the same work may succeed later or on another machine, so that finished work
+    /// is worth keeping.
     pub fn may_pass(&self) -> bool {
-        matches!(self.category(), Category::CannotWrite | Category::Io | Category::TryAgain | Category::NoDevice)
+        matches!(
+            self.category(),
+            Category::CannotWrite | Category::Io | Category::TryAgain | Category::NoDevice
+        )
     }
 
     /// True when the caller asked to stop.
@@ -241,7 +255,10 @@ mod tests {
     #[test]
     fn a_stop_is_no_fault_of_the_input_however_deep_it_was_noticed() {
         let phase = "at work";
-        let stops = [DenseError::Cancelled { phase }, DenseError::Tracks(TrackError::Cancelled { phase })];
+        let stops = [
+            DenseError::Cancelled { phase },
+            DenseError::Tracks(TrackError::Cancelled { phase }),
+        ];
         for stop in stops {
             assert_eq!(Error::from(stop).category(), Category::Stopped);
         }
@@ -251,10 +268,23 @@ mod tests {
     fn the_type_of_an_operation_adds_nothing_to_the_message_nor_to_the_causes() {
         let refused = || io::Error::from(io::ErrorKind::PermissionDenied);
         let video = || Fault::Io(refused()).at(Path::new("clip.mp4"));
-        let server = || ServeError::Listen { port: 80, source: refused() };
+        let server = || ServeError::Listen {
+            port: 80,
+            source: refused(),
+        };
         let expected = [
-            (video().to_string(), Error::from(video()), Category::from(video().kind()), None),
-            (server().to_string(), Error::from(server()), Category::TryAgain, Some(refused().to_string())),
+            (
+                video().to_string(),
+                Error::from(video()),
+                Category::from(video().kind()),
+                None,
+            ),
+            (
+                server().to_string(),
+                Error::from(server()),
+                Category::TryAgain,
+                Some(refused().to_string()),
+            ),
         ];
         for (message, error, category, expected_cause) in expected {
             assert_eq!((error.to_string(), error.category()), (message, category));

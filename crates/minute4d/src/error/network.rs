@@ -7,7 +7,8 @@ use crate::settings::{FrontendPart, Segmenter, Tracker};
 use m4_core::advice::{CLASSICAL, FLOW_TRACKER, NO_SEGMENTER};
 use std::fmt;
 
-/// A method that needs a pretrained network; printed as its kind and its name, such as `front end raft`.
+/// A method that needs a pretrained network; printed as its kind and its name, such as
+/// `front end raft`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum NetworkMethod {

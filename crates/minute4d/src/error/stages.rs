@@ -30,9 +30,9 @@ impl ReconstructionError {
                 Category::BadSettings
             }
             Self::Sparse(SparseError::Cancelled)
-            | Self::Dense(DenseError::Cancelled { .. } | DenseError::Tracks(TrackError::Cancelled { .. })) => {
-                Category::Stopped
-            }
+            | Self::Dense(
+                DenseError::Cancelled { .. } | DenseError::Tracks(TrackError::Cancelled { .. }),
+            ) => Category::Stopped,
             Self::Megasam(e) if e.is_stop() => Category::Stopped,
             Self::Sparse(_) | Self::Dense(_) | Self::Megasam(_) => Category::BadInput,
         }
@@ -55,12 +55,10 @@ impl EnhanceError {
     /// Returns the category of the failure.
     pub fn category(&self) -> Category {
         match self {
-            Self::Instances(InstanceError::Cancelled { .. }) | Self::Tracks(TrackError::Cancelled { .. }) => {
-                Category::Stopped
-            }
-            Self::Instances(InstanceError::Setting { .. }) | Self::Tracks(TrackError::Setting { .. }) => {
-                Category::BadSettings
-            }
+            Self::Instances(InstanceError::Cancelled { .. })
+            | Self::Tracks(TrackError::Cancelled { .. }) => Category::Stopped,
+            Self::Instances(InstanceError::Setting { .. })
+            | Self::Tracks(TrackError::Setting { .. }) => Category::BadSettings,
             Self::Instances(_) | Self::Tracks(_) => Category::BadInput,
         }
     }

@@ -10,7 +10,9 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum WeightsError {
     /// Weights that are not installed.
-    #[error("the weights {name} are not installed; they come from {origin}. Without them: {without}")]
+    #[error(
+        "the weights {name} are not installed; they come from {origin}. Without them: {without}"
+    )]
     Absent {
         /// Their name.
         name: &'static str,
@@ -19,8 +21,8 @@ pub enum WeightsError {
         /// What is unavailable without them.
         without: &'static str,
     },
-    /// A request that cannot be met: an unknown name, weights that have to be fetched by hand, a licence that was not
-    /// accepted, a `pip` that is missing or fails, a stop.
+    /// A request that cannot be met: an unknown name, weights that have to be fetched by hand, a
+    /// licence that was not accepted, a `pip` that is missing or fails, a stop.
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// A file or an archive that is damaged, or not the one that was published.

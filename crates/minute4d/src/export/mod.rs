@@ -1,7 +1,7 @@
 //! Exports a scene for other tools, and reports bytes, seconds and losses.
 //!
-//! Adding a format: a variant of [`Format`] with its row in the table, an arm in `write.rs`, and, where
-//! there is a reader, one in `crate::import`.
+//! Adding a format: a variant of [`Format`] with its row in the table, an arm in `write.rs`, and,
+//! where there is a reader, one in `crate::import`.
 
 mod bake;
 mod report;
@@ -43,7 +43,14 @@ pub struct ExportJob {
 impl ExportJob {
     /// The format as it is by itself.
     pub fn new(format: Format) -> Self {
-        Self { format, out: None, time: None, fps: None, replace: false, reach: m4_io::reach::Reach::Inside }
+        Self {
+            format,
+            out: None,
+            time: None,
+            fps: None,
+            replace: false,
+            reach: m4_io::reach::Reach::Inside,
+        }
     }
 }
 
@@ -52,13 +59,21 @@ impl ExportJob {
 /// # Errors
 ///
 /// [`Error`]: the moment lies outside the scene, options and format do not go together, or the file exists or cannot be written.
-pub fn scene(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+pub fn scene(
+    scene: &Scene,
+    out: &Path,
+    job: &ExportJob,
+    observer: &dyn Observer,
+) -> Result<ExportReport, Error> {
     job.check()?;
     if job.format.takes_capture() {
         return Err(write::needs_capture(job.format).into());
     }
     if !job.replace && occupied(out) {
-        return Err(OutputError::WouldReplace { path: out.to_path_buf() }.into());
+        return Err(OutputError::WouldReplace {
+            path: out.to_path_buf(),
+        }
+        .into());
     }
     scene_as(scene, out, job, observer)
 }
@@ -108,17 +123,27 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
 }
 
 /// Exports `scene` to `out`, which is replaced.
-fn scene_as(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+fn scene_as(
+    scene: &Scene,
+    out: &Path,
+    job: &ExportJob,
+    observer: &dyn Observer,
+) -> Result<ExportReport, Error> {
     let moments = job.moments(scene)?;
     let start = Instant::now();
     let (plain, loss) = bake::bake(scene).unzip();
     let plain = plain.as_ref().unwrap_or(scene);
-    let (free, of_motion) = unbind::unbind(plain, job.format, moments.first().copied().unwrap_or(0.0)).unzip();
+    let (free, of_motion) =
+        unbind::unbind(plain, job.format, moments.first().copied().unwrap_or(0.0)).unzip();
     let mut written = write::write(free.as_ref().unwrap_or(plain), out, &moments, job, observer)?;
-    written.losses.splice(0..0, of_motion.into_iter().chain(loss));
+    written
+        .losses
+        .splice(0..0, of_motion.into_iter().chain(loss));
     drop(free);
     let encode_s = start.elapsed().as_secs_f64();
-    Ok(ExportReport::new(scene, job.format, &moments, written, encode_s))
+    Ok(ExportReport::new(
+        scene, job.format, &moments, written, encode_s,
+    ))
 }
 
 impl ExportJob {
@@ -139,9 +164,13 @@ impl ExportJob {
         Ok(())
     }
 
-    /// The moments that are written, frames: one, or those of a sequence; none for a format with time.
+    /// The moments that are written, frames: one, or those of a sequence; none for a format with
+    /// time.
     fn moments(&self, scene: &Scene) -> Result<Vec<f64>, Error> {
-        let span = Span { time_frames: scene.time_frames, duration_s: scene.duration_s };
+        let span = Span {
+            time_frames: scene.time_frames,
+            duration_s: scene.duration_s,
+        };
         let last = scene.time_frames.saturating_sub(1) as f64;
         match self.format.time() {
             Time::Instant => Ok(vec![match self.time {
@@ -150,7 +179,9 @@ impl ExportJob {
             }]),
             Time::Sequence => {
                 // as many frames of the scene from one file to the next
-                let step = self.fps.map_or(1.0, |fps| crate::render::source_fps(scene) / fps);
+                let step = self
+                    .fps
+                    .map_or(1.0, |fps| crate::render::source_fps(scene) / fps);
                 let count = (last / step + 1e-9).floor() as usize + 1;
                 Ok((0..count).map(|i| (i as f64 * step).min(last)).collect())
             }
@@ -226,7 +257,10 @@ impl Format {
 
     fn entry(self) -> &'static Entry {
         // Every variant has a row: see the test.
-        FORMATS.iter().find(|entry| entry.0 == self).unwrap_or(&FORMATS[0])
+        FORMATS
+            .iter()
+            .find(|entry| entry.0 == self)
+            .unwrap_or(&FORMATS[0])
     }
 
     /// Its name on the command line.
@@ -262,7 +296,11 @@ impl Format {
             return Some(Self::Ftgs);
         }
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
-        let same = |entry: &&Entry| Path::new(entry.2).extension().is_some_and(|e| e == ending.as_str());
+        let same = |entry: &&Entry| {
+            Path::new(entry.2)
+                .extension()
+                .is_some_and(|e| e == ending.as_str())
+        };
         FORMATS.iter().find(same).map(|entry| entry.0)
     }
 }
@@ -293,14 +331,26 @@ mod tests {
             let json = serde_json::to_value(format).unwrap();
             assert_eq!(json, format.name());
         }
-        assert!("obj".parse::<Format>().unwrap_err().to_string().contains("4dgs, ply,"));
+        assert!(
+            "obj"
+                .parse::<Format>()
+                .unwrap_err()
+                .to_string()
+                .contains("4dgs, ply,")
+        );
     }
 
     #[test]
     fn endings_name_formats() {
-        assert_eq!(Format::of_path(Path::new("a/b.4DGS")), Some(Format::Fourdgs));
+        assert_eq!(
+            Format::of_path(Path::new("a/b.4DGS")),
+            Some(Format::Fourdgs)
+        );
         assert_eq!(Format::of_path(Path::new("b.ply")), Some(Format::Ply));
-        assert_eq!(Format::of_path(Path::new("a/scene.FTGS.ply")), Some(Format::Ftgs));
+        assert_eq!(
+            Format::of_path(Path::new("a/scene.FTGS.ply")),
+            Some(Format::Ftgs)
+        );
         assert_eq!(Format::of_path(Path::new("ply")), None);
         assert_eq!(Format::of_path(Path::new("dog_droid.npz")), None);
     }

@@ -18,7 +18,8 @@ pub struct ExportReport {
     pub bytes: u64,
     /// Splats in the file; in a sequence the sum over its files.
     pub splats: usize,
-    /// Bytes a splat: of the scene, or, for one instant, of those that it sees; `None` for captures.
+    /// Bytes a splat: of the scene, or, for one instant, of those that it sees; `None` for
+    /// captures.
     pub bytes_per_splat: Option<f64>,
     /// Bytes a second of the clip, where its length is known and the file has time.
     pub bytes_per_s: Option<f64>,
@@ -57,7 +58,13 @@ impl Losses {
 }
 
 impl ExportReport {
-    pub(super) fn new(scene: &Scene, format: Format, moments: &[f64], written: Written, encode_s: f64) -> Self {
+    pub(super) fn new(
+        scene: &Scene,
+        format: Format,
+        moments: &[f64],
+        written: Written,
+        encode_s: f64,
+    ) -> Self {
         let per = |whole: f64| (whole > 0.0).then(|| written.bytes as f64 / whole);
         let splats = match format.time() {
             Time::Instant => written.splats,
@@ -78,7 +85,13 @@ impl ExportReport {
     }
 
     /// What was written of a capture.
-    pub(super) fn of_capture(format: Format, path: PathBuf, bytes: u64, losses: Losses, encode_s: f64) -> Self {
+    pub(super) fn of_capture(
+        format: Format,
+        path: PathBuf,
+        bytes: u64,
+        losses: Losses,
+        encode_s: f64,
+    ) -> Self {
         Self {
             format,
             path,
@@ -95,7 +108,12 @@ impl ExportReport {
 
 impl fmt::Display for ExportReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {:.2} MB", self.format.name(), self.bytes as f64 / 1e6)?;
+        write!(
+            f,
+            "{}: {:.2} MB",
+            self.format.name(),
+            self.bytes as f64 / 1e6
+        )?;
         if let Some(bytes) = self.bytes_per_splat {
             write!(f, ", {bytes:.1} bytes per splat")?;
         }
@@ -104,7 +122,11 @@ impl fmt::Display for ExportReport {
         }
         write!(f, ", written in {:.1} s", self.encode_s)?;
         let losses = &self.losses;
-        for (sort, all) in [("baked", &losses.baked), ("dropped", &losses.dropped), ("quantised", &losses.quantised)] {
+        for (sort, all) in [
+            ("baked", &losses.baked),
+            ("dropped", &losses.dropped),
+            ("quantised", &losses.quantised),
+        ] {
             for what in all {
                 write!(f, "\n{sort}: {what}")?;
             }

@@ -1,4 +1,5 @@
-//! Turns splats that are bound to nodes into those that a format has: of one instant, or on straight lines.
+//! Turns splats that are bound to nodes into those that a format has: of one instant, or on
+//! straight lines.
 
 use super::{Format, Time};
 use m4_core::nalgebra::Vector3;
@@ -6,34 +7,50 @@ use m4_core::{Scene, Se3, SourceFrame};
 use m4_io::scene::Loss;
 use m4_kernels::pose;
 
-/// How far a piece may be off its path, pixels of the source. Half a pixel makes four million pieces of a clip with fast rotation, which no format holds well.
+/// How far a piece may be off its path, pixels of the source. Half a pixel makes four million
+/// pieces of a clip with fast rotation, which no format holds well.
 const TOLERANCE_PX: f64 = 2.0;
 
-/// The scene for a format: with pieces for one of the whole clip, as at `t`, frames, for one of an instant; a sequence poses splats by itself. `None`
-/// where nothing changes.
+/// The scene for a format: with pieces for one of the whole clip, as at `t`, frames, for one of an
+/// instant; a sequence poses splats by itself. `None` where nothing changes.
 pub(super) fn unbind(scene: &Scene, format: Format, t: f64) -> Option<(Scene, Loss)> {
     let bound = scene.splats.bindings().len();
-    let of = |splats| Scene { splats, source: scene.source.clone(), ..*scene };
+    let of = |splats| Scene {
+        splats,
+        source: scene.source.clone(),
+        ..*scene
+    };
     match format.time() {
         _ if bound == 0 => None,
         Time::Sequence | Time::Capture => None,
         Time::Instant => {
             let splats = pose::at(&scene.splats, t as f32).into_owned();
             let there = splats.n_static() - scene.splats.n_static();
-            let what =
-                format!("the motion of {bound} splats that nodes carry, at frame {t}: {there} of them live then");
+            let what = format!(
+                "the motion of {bound} splats that nodes carry, at frame {t}: {there} of them live then"
+            );
             Some((of(splats), Loss::Baked(what)))
         }
         Time::Clip => {
             let pixels = Pixels::of(scene);
             let clip = [0.0, scene.time_frames.saturating_sub(1) as f64];
-            let made = pose::pieces(&scene.splats, clip, |place, t| pixels.size(place, t), TOLERANCE_PX);
+            let made = pose::pieces(
+                &scene.splats,
+                clip,
+                |place, t| pixels.size(place, t),
+                TOLERANCE_PX,
+            );
             let error = |share: f64| {
                 let last = made.errors_px.len().saturating_sub(1) as f64;
-                made.errors_px.get((share * last).round() as usize).copied().unwrap_or(0.0)
+                made.errors_px
+                    .get((share * last).round() as usize)
+                    .copied()
+                    .unwrap_or(0.0)
             };
             let off = match pixels.views.is_empty() {
-                true => "the scene has no cameras to say by how many pixels they are off".to_owned(),
+                true => {
+                    "the scene has no cameras to say by how many pixels they are off".to_owned()
+                }
                 false => format!(
                     "half of the splats are off by up to {:.2} pixels, 95 % by up to {:.2}, all by up to {:.2}, while a piece has half of its opacity",
                     error(0.5),
@@ -63,17 +80,27 @@ impl Pixels {
         let view = |frame: &SourceFrame| (frame.t, frame.camera.w2c(), frame.camera.intrinsics.fx);
         let mut views: Vec<_> = scene.source.iter().map(view).collect();
         views.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Self { views, near: f64::from(scene.near) }
+        Self {
+            views,
+            near: f64::from(scene.near),
+        }
     }
 
-    /// World units per pixel of the camera that is nearest in time: by depth, or by distance where the place is not in front of it. 0 without cameras.
+    /// World units per pixel of the camera that is nearest in time: by depth, or by distance where
+    /// the place is not in front of it. 0 without cameras.
     fn size(&self, place: &Vector3<f64>, t: f64) -> f64 {
         let after = self.views.partition_point(|view| view.0 < t);
         let around = &self.views[after.saturating_sub(1)..(after + 1).min(self.views.len())];
-        let nearest = around.iter().min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs()));
+        let nearest = around
+            .iter()
+            .min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs()));
         nearest.map_or(0.0, |(_, w2c, focal_px)| {
             let seen = w2c.transform(place);
-            let depth = if seen.z > self.near { seen.z } else { seen.norm().max(self.near) };
+            let depth = if seen.z > self.near {
+                seen.z
+            } else {
+                seen.norm().max(self.near)
+            };
             depth / focal_px
         })
     }
@@ -99,15 +126,24 @@ mod tests {
             assert_eq!(made.is_none(), keeps, "{format:?}");
             let Some((made, loss)) = made else { continue };
             assert!(made.splats.bindings().is_empty());
-            assert!(loss.to_string().contains("20 splats that nodes carry"), "{loss}");
+            assert!(
+                loss.to_string().contains("20 splats that nodes carry"),
+                "{loss}"
+            );
         }
         let (made, loss) = unbind(&scene, Format::Fourdgs, 0.0).unwrap();
-        assert!(made.splats.n_dynamic() > 60 && loss.to_string().contains("95 % by up to 0."), "{loss}");
+        assert!(
+            made.splats.n_dynamic() > 60 && loss.to_string().contains("95 % by up to 0."),
+            "{loss}"
+        );
         assert!(unbind(&random_scene(&SceneSpec::default()), Format::Fourdgs, 0.0).is_none());
         let mut blind = bound_scene(&SceneSpec::default());
         blind.source.clear();
         let (finest, loss) = unbind(&blind, Format::Fourdgs, 0.0).unwrap();
-        assert!(finest.splats.n_dynamic() > made.splats.n_dynamic() && loss.to_string().contains("no cameras"));
+        assert!(
+            finest.splats.n_dynamic() > made.splats.n_dynamic()
+                && loss.to_string().contains("no cameras")
+        );
     }
 
     #[test]
@@ -119,10 +155,20 @@ mod tests {
         for format in Format::all().filter(|format| !format.takes_capture()) {
             let report = make(&file, &ExportJob::new(format), &Silent).unwrap();
             for expected in ["20 splats that nodes carry", "Mip filter"] {
-                assert!(report.losses.baked.iter().any(|what| what.contains(expected)), "{format:?}: {report}");
+                assert!(
+                    report
+                        .losses
+                        .baked
+                        .iter()
+                        .any(|what| what.contains(expected)),
+                    "{format:?}: {report}"
+                );
             }
         }
-        let first = ply::read(&dir.path().join("ply").join(ply::frame_name(0))).unwrap().scene.splats;
+        let first = ply::read(&dir.path().join("ply").join(ply::frame_name(0)))
+            .unwrap()
+            .scene
+            .splats;
         let want = instant(&at(&scene.splats, 0.0), 0.0, 9.0);
         assert_eq!(first.n(), want.n());
         for k in 0..3 {

@@ -39,7 +39,10 @@ pub(super) fn write(
             }
             if !scene.splats.bindings().is_empty() {
                 let bound = scene.splats.bindings().len();
-                let what = format!("the motion of {bound} splats that nodes carry, at {} instants", moments.len());
+                let what = format!(
+                    "the motion of {bound} splats that nodes carry, at {} instants",
+                    moments.len()
+                );
                 written.losses.insert(0, Loss::Baked(what));
             }
             written
@@ -59,7 +62,11 @@ pub(super) fn needs_capture(format: Format) -> Refusal {
     ))
 }
 
-pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+pub(super) fn make_capture(
+    input: &Path,
+    job: &ExportJob,
+    observer: &dyn Observer,
+) -> Result<ExportReport, Error> {
     let name = job.format.file_name();
     let out = match &job.out {
         Some(out) => out.clone(),
@@ -69,7 +76,10 @@ pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observe
     if !job.replace && occupied(&out) {
         return Err(OutputError::WouldReplace { path: out }.into());
     }
-    let options = CaptureOptions { reach: job.reach, ..Settings::fast().capture };
+    let options = CaptureOptions {
+        reach: job.reach,
+        ..Settings::fast().capture
+    };
     let train = capture::read(input, Split::Train, &options, observer)?;
     let start = Instant::now();
     let written = colmap::write(&out, &train, observer).map_err(|error| match error.kind() {
@@ -82,7 +92,16 @@ pub(super) fn make_capture(input: &Path, job: &ExportJob, observer: &dyn Observe
         losses.dropped.push("held-out views".to_owned());
     }
     let seconds = start.elapsed().as_secs_f64();
-    Ok(ExportReport::of_capture(job.format, out, written.bytes, losses, seconds))
+    Ok(ExportReport::of_capture(
+        job.format,
+        out,
+        written.bytes,
+        losses,
+        seconds,
+    ))
 }
 
-const STOPPED: Error = Error::Stopped { stage: "export", saved: false };
+const STOPPED: Error = Error::Stopped {
+    stage: "export",
+    saved: false,
+};

@@ -1,5 +1,5 @@
-//! The front end without weights (Minute4D Eq. 3): cameras from tracked corners, depth and masks along the flow, and both once more
-//! without the tracks of dynamic regions.
+//! The front end without weights (Minute4D Eq. 3): cameras from tracked corners, depth and masks
+//! along the flow, and both once more without the tracks of dynamic regions.
 
 use super::Context;
 use super::GeometrySummary;
@@ -17,15 +17,21 @@ use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, esti
 use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfig};
 
 /// Reconstructs `clip`.
-pub(super) fn compute(clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
+pub(super) fn compute(
+    clip: Clip,
+    context: &Context<'_>,
+) -> Result<(Capture, GeometrySummary), Error> {
     let (pass, found) = Reconstruction::new(&clip, context)?.run()?;
     let (cameras, dense) = (pass.recovered.sparse.cameras, pass.dense);
-    let frames = cameras.into_iter().zip(dense.frames).map(|(camera, dense)| FrameGeometry {
-        camera,
-        depth: dense.depth.into(),
-        mask: dense.mask.into(),
-        motion: None,
-    });
+    let frames = cameras
+        .into_iter()
+        .zip(dense.frames)
+        .map(|(camera, dense)| FrameGeometry {
+            camera,
+            depth: dense.depth.into(),
+            mask: dense.mask.into(),
+            motion: None,
+        });
     Ok((clip.capture(frames, pass.metric, dense.tracks), found))
 }
 
@@ -54,17 +60,34 @@ impl<'a> Reconstruction<'a> {
     fn new(clip: &'a Clip, context: &'a Context<'a>) -> Result<Self, Error> {
         let methods = context.methods;
         let (images, given) = (clip.images(), &clip.given);
-        let flow = methods.frontend.flow(context.settings.megasam.flow_iterations, &methods.device, context.steps)?;
+        let flow = methods.frontend.flow(
+            context.settings.megasam.flow_iterations,
+            &methods.device,
+            context.steps,
+        )?;
         let segmenter = methods.segmenter.load()?;
         let mono = match given.depth {
             Some(_) => None,
-            None => methods.frontend.depth(&images, clip.focal_px, &methods.device, context.steps)?,
+            None => {
+                methods
+                    .frontend
+                    .depth(&images, clip.focal_px, &methods.device, context.steps)?
+            }
         };
         let mut config = clip.sparse.clone();
         if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
             config.default_fov_deg = fov_rad.to_degrees();
         }
-        Ok(Self { context, images, rate: clip.rate(), given, config, flow, segmenter, mono })
+        Ok(Self {
+            context,
+            images,
+            rate: clip.rate(),
+            given,
+            config,
+            flow,
+            segmenter,
+            mono,
+        })
     }
 
     fn run(&self) -> Result<(Pass, GeometrySummary), Error> {
@@ -73,7 +96,13 @@ impl<'a> Reconstruction<'a> {
         let mut rounds = 1;
         if self.given.masks.is_none() && self.given.cameras.is_none() {
             let (first, frames) = (&pass.recovered.sparse, &mut pass.dense.frames);
-            let better = iterate::without_masked(&followed, first, frames, &self.config, self.context.steps)?;
+            let better = iterate::without_masked(
+                &followed,
+                first,
+                frames,
+                &self.config,
+                self.context.steps,
+            )?;
             if let Some(better) = better {
                 // Memory holds one result at a time.
                 drop(pass);
@@ -113,10 +142,22 @@ impl<'a> Reconstruction<'a> {
         let scaled = (unit != 1.0).then(|| rescale(&recovered.sparse, 1.0 / unit));
         let sparse = scaled.as_ref().unwrap_or(&recovered.sparse);
         let mono = mono.and_then(|mono| mono.maps(unit));
-        let sources = Sources { flow: &*self.flow, segmenter: self.segmenter.as_deref(), mono };
+        let sources = Sources {
+            flow: &*self.flow,
+            segmenter: self.segmenter.as_deref(),
+            mono,
+        };
         let masks = self.given.masks.as_deref();
         let estimated = self.context.steps.keep(name, |observer| {
-            estimate(&self.images, self.rate, sparse, &sources, masks, &settings.dense, observer)
+            estimate(
+                &self.images,
+                self.rate,
+                sparse,
+                &sources,
+                masks,
+                &settings.dense,
+                observer,
+            )
         })?;
         let mut dense = estimated.enlarge(&self.images, observer)?;
         if unit != 1.0 {
@@ -125,16 +166,29 @@ impl<'a> Reconstruction<'a> {
             }
             dense.tracks = dense.tracks.map(|tracks| tracks.scaled(unit as f32));
         }
-        Ok(Pass { recovered, dense, metric })
+        Ok(Pass {
+            recovered,
+            dense,
+            metric,
+        })
     }
 
     /// Grades the result, warns of a doubtful one, and describes it.
     fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
         let (sparse, dense, methods) = (&pass.recovered.sparse, &pass.dense, self.context.methods);
-        let known = self.given.depth.as_ref().and_then(|depth| depth.metric_m.as_deref()).map(|maps| {
-            let pixels = maps.iter().map(|d| d.data().len()).sum::<usize>().max(1);
-            maps.iter().flat_map(|d| d.data()).filter(|&&z| z > 0.0).count() as f64 / pixels as f64
-        });
+        let known = self
+            .given
+            .depth
+            .as_ref()
+            .and_then(|depth| depth.metric_m.as_deref())
+            .map(|maps| {
+                let pixels = maps.iter().map(|d| d.data().len()).sum::<usize>().max(1);
+                maps.iter()
+                    .flat_map(|d| d.data())
+                    .filter(|&&z| z > 0.0)
+                    .count() as f64
+                    / pixels as f64
+            });
         let masked = self.given.masks.is_some();
         let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked, known);
         if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
@@ -143,7 +197,11 @@ impl<'a> Reconstruction<'a> {
         }
         let lens = sparse.cameras.first().map(|c: &Camera| c.intrinsics);
         let pixels: usize = dense.frames.iter().map(|d| d.mask.data().len()).sum();
-        let moving = dense.frames.iter().flat_map(|d| d.mask.data()).filter(|&&m| m != 0);
+        let moving = dense
+            .frames
+            .iter()
+            .flat_map(|d| d.mask.data())
+            .filter(|&&m| m != 0);
         GeometrySummary {
             frames: sparse.cameras.len(),
             size: lens.map_or([0, 0], |k| [k.width, k.height]),

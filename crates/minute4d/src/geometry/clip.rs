@@ -1,14 +1,18 @@
 //! The frames of the stage and what the user provides of them.
 //!
-//! Geometry also uses frames between those that `max_frames` keeps; the capture does not. Flow, masks and tracks need small steps
-//! from frame to frame: where a clip is thinned, an object moves too far from one kept frame to the next, so geometry runs on up to
-//! [`MOST_PER_STEP`] frames per kept one.
+//! Geometry also uses frames between those that `max_frames` keeps; the capture does not. Flow,
+//! masks and tracks need small steps from frame to frame: where a clip is thinned, an object moves
+//! too far from one kept frame to the next, so geometry runs on up to [`MOST_PER_STEP`] frames per
+//! kept one.
 
 use super::Context;
 use super::frontend::Plan;
 use super::given::Given;
 use crate::{Error, Settings};
-use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, RgbImage, Tracks, Video};
+use m4_core::{
+    Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, RgbImage, Tracks,
+    Video,
+};
 use m4_geometry::FrameRate;
 use m4_geometry::classical::sparse::SparseConfig;
 use m4_io::video::{VideoOptions, evenly};
@@ -33,7 +37,8 @@ pub(super) struct FrameGeometry {
 }
 
 impl Clip {
-    /// Reads the clip and the files that the user provides; fails where one is missing, damaged, or does not fit the clip.
+    /// Reads the clip and the files that the user provides; fails where one is missing, damaged, or
+    /// does not fit the clip.
     pub fn read(input: &Path, between: Between, context: &Context<'_>) -> Result<Self, Error> {
         let (settings, observer) = (context.settings, context.observer());
         let video = m4_io::video::read(input, &between.to_read(&settings.video), observer)?;
@@ -51,7 +56,12 @@ impl Clip {
         if let Some(lens) = given.lens {
             sparse.intrinsics = Some([lens.fx, lens.fy, lens.cx, lens.cy]);
         }
-        Ok(Self { video, given, sparse, focal_px })
+        Ok(Self {
+            video,
+            given,
+            sparse,
+            focal_px,
+        })
     }
 
     /// The images.
@@ -66,10 +76,21 @@ impl Clip {
     }
 
     /// The capture of these frames; lengths are metres if `metric`.
-    pub fn capture(self, found: impl Iterator<Item = FrameGeometry>, metric: bool, tracks: Option<Tracks>) -> Capture {
+    pub fn capture(
+        self,
+        found: impl Iterator<Item = FrameGeometry>,
+        metric: bool,
+        tracks: Option<Tracks>,
+    ) -> Capture {
         let time_frames = self.video.frames.len();
         let (moments, duration_s) = moments(&self.video);
-        let frames = self.video.frames.into_iter().zip(found).zip(moments).enumerate();
+        let frames = self
+            .video
+            .frames
+            .into_iter()
+            .zip(found)
+            .zip(moments)
+            .enumerate();
         let frames = frames.map(|(i, ((frame, found), t))| CaptureFrame {
             name: format!("{i:05}"),
             camera: found.camera,
@@ -81,11 +102,18 @@ impl Clip {
             instances: None,
             camera_index: None,
         });
-        Capture { frames: frames.collect(), time_frames, duration_s, metric, tracks }
+        Capture {
+            frames: frames.collect(),
+            time_frames,
+            duration_s,
+            metric,
+            tracks,
+        }
     }
 }
 
-/// The times of the frames in frames of the video, 0 to the number of frames less one, and the duration, seconds.
+/// The times of the frames in frames of the video, 0 to the number of frames less one, and the
+/// duration, seconds.
 fn moments(video: &Video) -> (Vec<f64>, Option<f64>) {
     let times_s: Vec<f64> = video.frames.iter().map(|f| f.time_s).collect();
     let (first_s, last_s) = (times_s.first().copied(), times_s.last().copied());
@@ -104,7 +132,8 @@ fn moments(video: &Video) -> (Vec<f64>, Option<f64>) {
 
 /// Steps of geometry per step from one kept frame to the next, at most.
 const MOST_PER_STEP: usize = 4;
-/// Frames that geometry may use in total, unless more are kept: what the default memory of the dense stage holds at 480x360.
+/// Frames that geometry may use in total, unless more are kept: what the default memory of the
+/// dense stage holds at 480x360.
 const MOST_FRAMES: usize = 240;
 
 /// How many frames are kept, and how many are read for geometry.
@@ -115,18 +144,22 @@ pub(super) struct Between {
 }
 
 impl Between {
-    /// Reads no more than is kept where the user gives data per frame, and where networks run, which follow longer steps and cost
-    /// more per frame than all the rest.
+    /// Reads no more than is kept where the user gives data per frame, and where networks run,
+    /// which follow longer steps and cost more per frame than all the rest.
     pub fn of(settings: &Settings, plan: &Plan) -> Self {
         let kept = settings.video.max_frames;
-        let small_steps = !plan.is_megasam() && plan.used.is_empty() && !settings.geometry.any_given();
+        let small_steps =
+            !plan.is_megasam() && plan.used.is_empty() && !settings.geometry.any_given();
         let read = kept.map(|kept| if small_steps { to_read(kept) } else { kept });
         Self { kept, read }
     }
 
     /// The options with which the clip is read.
     pub fn to_read(self, video: &VideoOptions) -> VideoOptions {
-        VideoOptions { max_frames: self.read, ..video.clone() }
+        VideoOptions {
+            max_frames: self.read,
+            ..video.clone()
+        }
     }
 
     /// Keeps the frames that were asked for, with their times; tracks lose the others.
@@ -136,24 +169,35 @@ impl Between {
         if chosen.len() == all {
             return Ok(capture);
         }
-        let tracks = capture.tracks.as_ref().map(|tracks| tracks.in_order(&chosen));
-        let tracks =
-            tracks.transpose().map_err(|e| Error::Internal { what: format!("tracks do not fit their frames: {e}") })?;
+        let tracks = capture
+            .tracks
+            .as_ref()
+            .map(|tracks| tracks.in_order(&chosen));
+        let tracks = tracks.transpose().map_err(|e| Error::Internal {
+            what: format!("tracks do not fit their frames: {e}"),
+        })?;
         let mut frames: Vec<_> = capture.frames.into_iter().map(Some).collect();
         let frames: Vec<_> = chosen.iter().filter_map(|&i| frames[i].take()).collect();
         observer.warn(&format!(
             "geometry used {all} frames to follow motion; {} of them are kept for training (max_frames)",
             frames.len()
         ));
-        Ok(Capture { frames, tracks, ..capture })
+        Ok(Capture {
+            frames,
+            tracks,
+            ..capture
+        })
     }
 }
 
-/// Frames to read so that every step between two of `kept` frames has up to [`MOST_PER_STEP`] parts.
+/// Frames to read so that every step between two of `kept` frames has up to [`MOST_PER_STEP`]
+/// parts.
 fn to_read(kept: usize) -> usize {
     let per_step = (MOST_FRAMES / kept.max(1)).clamp(1, MOST_PER_STEP);
     // At least one frame must be kept: the reader refuses 0.
-    kept.saturating_sub(1).saturating_mul(per_step).saturating_add(kept.min(1))
+    kept.saturating_sub(1)
+        .saturating_mul(per_step)
+        .saturating_add(kept.min(1))
 }
 
 #[cfg(test)]
@@ -175,7 +219,10 @@ mod tests {
             let clip = 10 * (read - 1) + 1;
             let all = evenly(clip, Some(read));
             let direct = evenly(clip, Some(kept));
-            let kept: Vec<usize> = evenly(all.len(), Some(kept)).iter().map(|&i| all[i]).collect();
+            let kept: Vec<usize> = evenly(all.len(), Some(kept))
+                .iter()
+                .map(|&i| all[i])
+                .collect();
             assert_eq!(kept, direct);
         }
     }
@@ -184,14 +231,26 @@ mod tests {
     fn kept_frames_keep_their_times_and_tracks() {
         let places = (0..9).map(|i| [i as f32, 0.0, 1.0]).collect();
         let tracks = Some(Tracks::new(9, 1, places, vec![true; 9]).unwrap());
-        let capture = Capture { tracks, ..plain_clip(9, (2, 1)) };
-        let between = Between { kept: Some(3), read: Some(9) };
+        let capture = Capture {
+            tracks,
+            ..plain_clip(9, (2, 1))
+        };
+        let between = Between {
+            kept: Some(3),
+            read: Some(9),
+        };
         let thin = between.keep(capture.clone(), &Silent).unwrap();
         let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();
         assert_eq!((times, thin.time_frames), (vec![0.0, 4.0, 8.0], 9));
         let tracks = thin.tracks.unwrap();
-        assert_eq!((tracks.frames(), tracks.place(1, 0)), (3, Some([4.0, 0.0, 1.0])));
-        let all = Between { kept: Some(20), read: Some(77) };
+        assert_eq!(
+            (tracks.frames(), tracks.place(1, 0)),
+            (3, Some([4.0, 0.0, 1.0]))
+        );
+        let all = Between {
+            kept: Some(20),
+            read: Some(77),
+        };
         assert_eq!(all.keep(capture, &Silent).unwrap().frames.len(), 9);
     }
 }

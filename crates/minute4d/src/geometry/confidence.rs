@@ -49,7 +49,8 @@ pub struct Confidence {
     pub grade: Grade,
     /// What to do about it, where it is not good.
     pub advice: Option<String>,
-    /// The angle under which the camera's path is seen from the points that it measured, median, degrees.
+    /// The angle under which the camera's path is seen from the points that it measured, median,
+    /// degrees.
     pub parallax_deg: f64,
     /// The same as pixels of the frames.
     pub parallax_px: f64,
@@ -91,13 +92,30 @@ impl Confidence {
         masks_given: bool,
         known_depth: Option<f64>,
     ) -> Self {
-        let pixels = dense.iter().map(|d| d.mask.data().len()).sum::<usize>().max(1) as f64;
-        let still = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
-        let measured = dense.iter().flat_map(|d| d.confidence.data()).filter(|&&c| c >= MEASURED);
+        let pixels = dense
+            .iter()
+            .map(|d| d.mask.data().len())
+            .sum::<usize>()
+            .max(1) as f64;
+        let still = dense
+            .iter()
+            .flat_map(|d| d.mask.data())
+            .filter(|&&m| m == 0)
+            .count() as f64;
+        let measured = dense
+            .iter()
+            .flat_map(|d| d.confidence.data())
+            .filter(|&&c| c >= MEASURED);
         let measured = measured.count() as f64 / pixels;
-        let judged = sparse.tracks.iter().filter(|t| t.motion != Motion::Unknown).count();
+        let judged = sparse
+            .tracks
+            .iter()
+            .filter(|t| t.motion != Motion::Unknown)
+            .count();
         let inliers = sparse.tracks.iter();
-        let inliers = inliers.filter(|t| t.motion == Motion::Static && t.point.is_some() && t.residual_px < INLIER_PX);
+        let inliers = inliers.filter(|t| {
+            t.motion == Motion::Static && t.point.is_some() && t.residual_px < INLIER_PX
+        });
         let parallax_rad = parallax_rad(sparse);
         let focal_px = sparse.cameras.first().map_or(0.0, |c| c.intrinsics.fx);
         let (source, sigma) = match focal {
@@ -117,8 +135,11 @@ impl Confidence {
             residual_px: sparse.residual_px,
             measured_share: known_depth.map_or(measured, |known| known.max(measured)),
         };
-        let around =
-            Circumstances { camera_motion: sparse.camera_motion, masks_given, depth_given: known_depth.is_some() };
+        let around = Circumstances {
+            camera_motion: sparse.camera_motion,
+            masks_given,
+            depth_given: known_depth.is_some(),
+        };
         (confidence.grade, confidence.advice) = confidence.judge(around);
         confidence
     }
@@ -137,7 +158,9 @@ impl Confidence {
         let high = |value: f64, fair: f64, poor: f64| low(-value, -fair, -poor);
         let parallax = around.camera_motion == CameraMotion::Parallax;
         let crowded = self.static_share < 0.5 && !around.masks_given;
-        let crowd = format!("dynamic objects fill the frame: {MASKS}, or film with more of the surroundings");
+        let crowd = format!(
+            "dynamic objects fill the frame: {MASKS}, or film with more of the surroundings"
+        );
         let motion = match around.camera_motion {
             CameraMotion::Static => (
                 Grade::Poor,
@@ -153,13 +176,22 @@ impl Confidence {
                     .to_owned(),
             ),
         };
-        let few = "few points can be tracked: film slower, in more light, with textured objects in view".to_owned();
-        let tracks = (low(self.inlier_share, 0.4, 0.15), if crowded { crowd.clone() } else { few });
+        let few =
+            "few points can be tracked: film slower, in more light, with textured objects in view"
+                .to_owned();
+        let tracks = (
+            low(self.inlier_share, 0.4, 0.15),
+            if crowded { crowd.clone() } else { few },
+        );
         let focal = match (self.focal, self.focal_sigma_percent) {
-            (Focal::Assumed, _) => (Grade::Fair, format!("the field of view is a guess: {FIELD_OF_VIEW}")),
-            (Focal::Estimated, Some(sigma)) => {
-                (high(sigma, 3.0, 10.0), format!("the clip says little about the field of view: {FIELD_OF_VIEW}"))
-            }
+            (Focal::Assumed, _) => (
+                Grade::Fair,
+                format!("the field of view is a guess: {FIELD_OF_VIEW}"),
+            ),
+            (Focal::Estimated, Some(sigma)) => (
+                high(sigma, 3.0, 10.0),
+                format!("the clip says little about the field of view: {FIELD_OF_VIEW}"),
+            ),
             _ => (Grade::Good, String::new()),
         };
         let residual = (
@@ -179,12 +211,24 @@ impl Confidence {
             (parallax, tracks),
             (true, focal),
             (parallax, residual),
-            (!around.masks_given, (low(self.static_share, 0.6, 0.35), crowd)),
+            (
+                !around.masks_given,
+                (low(self.static_share, 0.6, 0.35), crowd),
+            ),
             (parallax && !around.depth_given, measured),
         ];
-        let findings: Vec<_> = all.into_iter().filter_map(|(counts, finding)| counts.then_some(finding)).collect();
-        let worst = findings.iter().map(|(grade, _)| *grade).max().unwrap_or(Grade::Good);
-        let advice = findings.iter().find(|(grade, _)| *grade == worst && worst != Grade::Good);
+        let findings: Vec<_> = all
+            .into_iter()
+            .filter_map(|(counts, finding)| counts.then_some(finding))
+            .collect();
+        let worst = findings
+            .iter()
+            .map(|(grade, _)| *grade)
+            .max()
+            .unwrap_or(Grade::Good);
+        let advice = findings
+            .iter()
+            .find(|(grade, _)| *grade == worst && worst != Grade::Good);
         (worst, advice.map(|(_, advice)| (*advice).to_owned()))
     }
 
@@ -220,8 +264,13 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
         let seen = (0..=last).step_by(step).chain([last]);
         let cameras = seen.filter_map(|k| sparse.cameras.get(track.first_frame + k));
         let rays: Vec<_> = cameras.map(|c| (point - c.centre()).normalize()).collect();
-        let pairs = rays.iter().enumerate().flat_map(|(i, a)| rays[..i].iter().map(move |b| (a, b)));
-        let widest = pairs.map(|(a, b)| a.cross(b).norm().atan2(a.dot(b))).fold(0.0, f64::max);
+        let pairs = rays
+            .iter()
+            .enumerate()
+            .flat_map(|(i, a)| rays[..i].iter().map(move |b| (a, b)));
+        let widest = pairs
+            .map(|(a, b)| a.cross(b).norm().atan2(a.dot(b)))
+            .fold(0.0, f64::max);
         angles.push(widest);
     }
     median(&mut angles).unwrap_or(0.0)
@@ -244,30 +293,63 @@ mod tests {
         residual_px: 0.2,
         measured_share: 0.8,
     };
-    const MOVING: Circumstances =
-        Circumstances { camera_motion: CameraMotion::Parallax, masks_given: false, depth_given: false };
+    const MOVING: Circumstances = Circumstances {
+        camera_motion: CameraMotion::Parallax,
+        masks_given: false,
+        depth_given: false,
+    };
 
     #[test]
     fn each_weak_number_has_its_grade_and_advice() {
         assert_eq!(FINE.judge(MOVING), (Grade::Good, None));
-        let weak = |change: &dyn Fn(&mut Confidence), around: Circumstances, grade: Grade, word: &str| {
-            let mut c = FINE.clone();
-            change(&mut c);
-            let (found, advice) = c.judge(around);
-            let advice = advice.unwrap_or_default();
-            assert!(found == grade && advice.contains(word), "{found:?} {advice} for {c:?}");
-        };
+        let weak =
+            |change: &dyn Fn(&mut Confidence), around: Circumstances, grade: Grade, word: &str| {
+                let mut c = FINE.clone();
+                change(&mut c);
+                let (found, advice) = c.judge(around);
+                let advice = advice.unwrap_or_default();
+                assert!(
+                    found == grade && advice.contains(word),
+                    "{found:?} {advice} for {c:?}"
+                );
+            };
         weak(&|c| c.parallax_deg = 1.0, MOVING, Grade::Fair, "sideways");
         weak(&|c| c.parallax_deg = 0.1, MOVING, Grade::Poor, "sideways");
         weak(&|c| c.inlier_share = 0.1, MOVING, Grade::Poor, "light");
-        weak(&|c| (c.inlier_share, c.static_share) = (0.1, 0.4), MOVING, Grade::Poor, MASKS);
-        weak(&|c| c.focal_sigma_percent = Some(20.0), MOVING, Grade::Poor, FIELD_OF_VIEW);
+        weak(
+            &|c| (c.inlier_share, c.static_share) = (0.1, 0.4),
+            MOVING,
+            Grade::Poor,
+            MASKS,
+        );
+        weak(
+            &|c| c.focal_sigma_percent = Some(20.0),
+            MOVING,
+            Grade::Poor,
+            FIELD_OF_VIEW,
+        );
         weak(&|c| c.residual_px = 1.0, MOVING, Grade::Fair, "zoom");
         weak(&|c| c.static_share = 0.5, MOVING, Grade::Fair, MASKS);
         weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, DEPTH);
-        let tripod = Circumstances { camera_motion: CameraMotion::Static, ..MOVING };
-        weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
-        let given = Circumstances { depth_given: true, ..tripod };
-        weak(&|c| c.focal = Focal::Assumed, given, Grade::Fair, FIELD_OF_VIEW);
+        let tripod = Circumstances {
+            camera_motion: CameraMotion::Static,
+            ..MOVING
+        };
+        weak(
+            &|c| c.focal = Focal::Assumed,
+            tripod,
+            Grade::Poor,
+            "is static",
+        );
+        let given = Circumstances {
+            depth_given: true,
+            ..tripod
+        };
+        weak(
+            &|c| c.focal = Focal::Assumed,
+            given,
+            Grade::Fair,
+            FIELD_OF_VIEW,
+        );
     }
 }

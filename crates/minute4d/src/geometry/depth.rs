@@ -8,22 +8,27 @@ use m4_geometry::classical::{CameraMotion, SparseReconstruction};
 /// Given poses and given depth whose units differ by more than this factor do not fit.
 const UNITS: f64 = 1.25;
 
-/// Brings a reconstruction to metres where the user or networks know them; true if lengths are metres then. Given poses (`posed`) stay:
-/// given depth must have their unit. Refused if given depth covers too few points to set the unit.
+/// Brings a reconstruction to metres where the user or networks know them; true if lengths are
+/// metres then. Given poses (`posed`) stay: given depth must have their unit. Refused if given
+/// depth covers too few points to set the unit.
 pub(super) fn set_unit(
     mono: Option<&MonoClip>,
     sparse: &mut SparseReconstruction,
     posed: bool,
     observer: &dyn Progress,
 ) -> Result<bool, Refusal> {
-    let Some((given, maps)) = mono.and_then(|mono| Some((mono.given, mono.metric_m.as_deref()?))) else {
+    let Some((given, maps)) = mono.and_then(|mono| Some((mono.given, mono.metric_m.as_deref()?)))
+    else {
         return Ok(false);
     };
     if sparse.camera_motion != CameraMotion::Parallax || (posed && !given) {
         return Ok(given);
     }
-    let few =
-        |found| format!("the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed");
+    let few = |found| {
+        format!(
+            "the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed"
+        )
+    };
     match depth_ratio(sparse, maps) {
         Ok(ratio) if !posed => *sparse = rescale(sparse, ratio),
         Ok(ratio) if !(1.0 / UNITS..=UNITS).contains(&ratio) => observer.warn(&format!(
@@ -46,7 +51,11 @@ pub(super) fn set_unit(
 /// A length, in the unit of the cameras, about which the scene is away: dense settings expect 1.
 pub(super) fn unit(mono: Option<&MonoClip>, sparse: &SparseReconstruction, posed: bool) -> f64 {
     let maps = mono.and_then(|mono| mono.metric_m.as_deref());
-    if posed || maps.is_some() { typical_depth(sparse, maps.unwrap_or_default()) } else { 1.0 }
+    if posed || maps.is_some() {
+        typical_depth(sparse, maps.unwrap_or_default())
+    } else {
+        1.0
+    }
 }
 
 /// Fewest points whose depth must be known.
@@ -64,8 +73,8 @@ pub(super) fn rescale(sparse: &SparseReconstruction, by: f64) -> SparseReconstru
     scaled
 }
 
-/// Depth of the maps over reconstructed depth, the median over all sightings of points; the number of points with depth if these are too
-/// few.
+/// Depth of the maps over reconstructed depth, the median over all sightings of points; the number
+/// of points with depth if these are too few.
 fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, usize> {
     let mut ratios = Vec::new();
     let mut found = 0;
@@ -81,7 +90,10 @@ fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64,
                 let at = (f64::from(at) + 0.5) / side as f64 * cells as f64;
                 (at.max(0.0) as usize).min(cells.saturating_sub(1))
             };
-            let given = map[(cell(seen[0], k.width, map.width()), cell(seen[1], k.height, map.height()))];
+            let given = map[(
+                cell(seen[0], k.width, map.width()),
+                cell(seen[1], k.height, map.height()),
+            )];
             let (_, z) = camera.project(&point);
             if given > 0.0 && given.is_finite() && z > 0.0 {
                 ratios.push(f64::from(given) / z);
@@ -95,16 +107,26 @@ fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64,
     }
 }
 
-/// How far away the scene is: the median depth of all sightings of points, or else of the maps; 1 without either.
+/// How far away the scene is: the median depth of all sightings of points, or else of the maps; 1
+/// without either.
 fn typical_depth(sparse: &SparseReconstruction, maps: &[DepthMap]) -> f64 {
     let mut depths = Vec::new();
     for track in &sparse.tracks {
         let Some(point) = track.point else { continue };
-        let cameras = sparse.cameras.iter().skip(track.first_frame).take(track.observations.len());
+        let cameras = sparse
+            .cameras
+            .iter()
+            .skip(track.first_frame)
+            .take(track.observations.len());
         depths.extend(cameras.map(|c| c.project(&point).1).filter(|z| *z > 0.0));
     }
     if depths.is_empty() {
-        depths.extend(maps.iter().flat_map(|d| d.data()).filter(|z| **z > 0.0).map(|&z| f64::from(z)));
+        depths.extend(
+            maps.iter()
+                .flat_map(|d| d.data())
+                .filter(|z| **z > 0.0)
+                .map(|&z| f64::from(z)),
+        );
     }
     median(&mut depths).unwrap_or(1.0)
 }

@@ -1,7 +1,8 @@
 //! Estimates the cameras a second time, without the tracks in dynamic regions.
 //!
-//! The first cameras come from tracks of the whole image. Where masks then hold a share of the static tracks, these are excluded and the
-//! cameras are estimated again; if their projections change, depth and masks are computed again, too. Otherwise the first result is kept.
+//! The first cameras come from tracks of the whole image. Where masks then hold a share of the
+//! static tracks, these are excluded and the cameras are estimated again; if their projections
+//! change, depth and masks are computed again, too. Otherwise the first result is kept.
 
 use crate::Error;
 use crate::cache::Steps;
@@ -15,16 +16,18 @@ use std::collections::HashMap;
 const SHIFT_PX: f64 = 0.25;
 /// Share of tracks outside the masks whose verdict changes that matters.
 const VERDICTS: f64 = 0.03;
-/// Share of the static observations of a frame within masks that matters. In four clips whose second cameras projected within
-/// 0.002 px of the first, it was 0.004 at most.
+/// Share of the static observations of a frame within masks that matters. In four clips whose
+/// second cameras projected within 0.002 px of the first, it was 0.004 at most.
 const MASKED: f64 = 0.02;
 /// Fewest points that both have, in total and per frame.
 const POINTS: usize = 30;
 const POINTS_A_FRAME: usize = 10;
-/// At least this share of the tracks outside masks that were static before must be static by the new cameras.
+/// At least this share of the tracks outside masks that were static before must be static by the
+/// new cameras.
 const STATIC_SHARE: f64 = 0.9;
 
-/// Cameras from tracks outside the masks of `frames`, if they differ enough from the `first` ones for depth and masks to be estimated again.
+/// Cameras from tracks outside the masks of `frames`, if they differ enough from the `first` ones
+/// for depth and masks to be estimated again.
 pub(super) fn without_masked(
     followed: &FeatureTracks,
     first: &SparseReconstruction,
@@ -33,20 +36,27 @@ pub(super) fn without_masked(
     steps: Steps<'_>,
 ) -> Result<Option<Recovered>, Error> {
     const PHASE: &str = "cameras from static points";
-    let masks: Vec<Mask> = frames.iter_mut().map(|f| std::mem::replace(&mut f.mask, Plane::filled(0, 0, 0))).collect();
+    let masks: Vec<Mask> = frames
+        .iter_mut()
+        .map(|f| std::mem::replace(&mut f.mask, Plane::filled(0, 0, 0)))
+        .collect();
     let mut found = None;
     if worth(first, &masks) {
         let observer = steps.observer();
         observer.update(PHASE, 0, 1, "");
-        // The warnings of the second pass repeat those of the first, or are given when its result is used.
+        // The warnings of the second pass repeat those of the first, or are given when its result
+        // is used.
         let second = steps.keep("second-cameras", |observer| {
             match followed.recover(Some(&masks), config, &NoWarnings(observer)) {
                 Err(stop @ SparseError::Cancelled) => Err(stop),
-                other => Ok(other.ok().filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
+                other => Ok(other
+                    .ok()
+                    .filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
             }
         })?;
-        let change =
-            second.as_ref().map(|second| Change::between(first, &second.sparse, |track| within(&masks, track)));
+        let change = second
+            .as_ref()
+            .map(|second| Change::between(first, &second.sparse, |track| within(&masks, track)));
         let note = change.map_or_else(String::new, |change| {
             let (shift_px, percent) = (change.shift_px, 100.0 * change.verdicts);
             format!("projections differ by {shift_px:.2} px, {percent:.1} % of tracks are classified differently")
@@ -78,10 +88,11 @@ impl Progress for NoWarnings<'_> {
 /// How a second reconstruction differs from the first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Change {
-    /// The frame that changed most: how far apart the two see the same points, median over them, pixels; infinite where too few
-    /// points are in both.
+    /// The frame that changed most: how far apart the two see the same points, median over them,
+    /// pixels; infinite where too few points are in both.
     pub shift_px: f64,
-    /// Share of the tracks classified by both, outside the masks, that are static for one and dynamic for the other.
+    /// Share of the tracks classified by both, outside the masks, that are static for one and
+    /// dynamic for the other.
     pub verdicts: f64,
     /// Static tracks outside the masks of the second, over those of the first.
     pub still_static: f64,
@@ -94,19 +105,36 @@ impl Change {
         differs && self.still_static >= STATIC_SHARE
     }
 
-    /// Of two reconstructions of the same tracks, where `masked` says which of the second lie within masks.
+    /// Of two reconstructions of the same tracks, where `masked` says which of the second lie
+    /// within masks.
     pub fn between(
         first: &SparseReconstruction,
         second: &SparseReconstruction,
         masked: impl Fn(&Track) -> bool,
     ) -> Self {
-        let by_start: HashMap<_, &Track> = first.tracks.iter().filter_map(|t| Some((key(t)?, t))).collect();
-        let pairs: Vec<(&Track, &Track)> =
-            second.tracks.iter().filter(|t| !masked(t)).filter_map(|t| Some((*by_start.get(&key(t)?)?, t))).collect();
-        let judged = pairs.iter().filter(|(a, b)| a.motion != Motion::Unknown && b.motion != Motion::Unknown);
+        let by_start: HashMap<_, &Track> = first
+            .tracks
+            .iter()
+            .filter_map(|t| Some((key(t)?, t)))
+            .collect();
+        let pairs: Vec<(&Track, &Track)> = second
+            .tracks
+            .iter()
+            .filter(|t| !masked(t))
+            .filter_map(|t| Some((*by_start.get(&key(t)?)?, t)))
+            .collect();
+        let judged = pairs
+            .iter()
+            .filter(|(a, b)| a.motion != Motion::Unknown && b.motion != Motion::Unknown);
         let changed = judged.clone().filter(|(a, b)| a.motion != b.motion).count();
-        let before = pairs.iter().filter(|(a, _)| a.motion == Motion::Static).count();
-        let after = pairs.iter().filter(|(_, b)| b.motion == Motion::Static).count();
+        let before = pairs
+            .iter()
+            .filter(|(a, _)| a.motion == Motion::Static)
+            .count();
+        let after = pairs
+            .iter()
+            .filter(|(_, b)| b.motion == Motion::Static)
+            .count();
         Self {
             shift_px: shift_px(first, second, &pairs),
             verdicts: changed as f64 / judged.count().max(1) as f64,
@@ -118,15 +146,26 @@ impl Change {
 /// A track by where it begins, in 64ths of a pixel.
 fn key(track: &Track) -> Option<(usize, [i64; 2])> {
     let at = track.observations.first()?;
-    Some((track.first_frame, at.map(|v| (f64::from(v) * 64.0).round() as i64)))
+    Some((
+        track.first_frame,
+        at.map(|v| (f64::from(v) * 64.0).round() as i64),
+    ))
 }
 
 /// See [`Change::shift_px`]. The two worlds are laid over each other by their points.
-fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: &[(&Track, &Track)]) -> f64 {
-    let points: Vec<_> = pairs.iter().filter_map(|(a, b)| Some((a.point?, b.point?, *b))).collect();
+fn shift_px(
+    first: &SparseReconstruction,
+    second: &SparseReconstruction,
+    pairs: &[(&Track, &Track)],
+) -> f64 {
+    let points: Vec<_> = pairs
+        .iter()
+        .filter_map(|(a, b)| Some((a.point?, b.point?, *b)))
+        .collect();
     let all: Vec<usize> = (0..points.len()).collect();
     let fit = |of: &[usize]| -> Option<Sim3> {
-        let (to, from): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = of.iter().map(|&i| (points[i].0, points[i].1)).unzip();
+        let (to, from): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) =
+            of.iter().map(|&i| (points[i].0, points[i].1)).unzip();
         Sim3::umeyama(&from, &to)
     };
     let Some(mut world) = fit(&all).filter(|_| points.len() >= POINTS) else {
@@ -137,7 +176,10 @@ fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: 
         let off = |i: &usize| (world.transform(&points[*i].1) - points[*i].0).norm();
         let mut order: Vec<(f64, usize)> = all.iter().map(|i| (off(i), *i)).collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let half: Vec<usize> = order[..(order.len() / 2).max(POINTS / 2)].iter().map(|(_, i)| *i).collect();
+        let half: Vec<usize> = order[..(order.len() / 2).max(POINTS / 2)]
+            .iter()
+            .map(|(_, i)| *i)
+            .collect();
         if let Some(better) = fit(&half) {
             world = better;
         }
@@ -146,9 +188,16 @@ fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: 
     for (_, point, track) in &points {
         let there = world.transform(point);
         let cameras = first.cameras.iter().zip(&second.cameras).enumerate();
-        for (frame, (a, b)) in cameras.skip(track.first_frame).take(track.observations.len()) {
+        for (frame, (a, b)) in cameras
+            .skip(track.first_frame)
+            .take(track.observations.len())
+        {
             let ((p, z), (q, w)) = (a.project(&there), b.project(point));
-            shifts[frame].push(if z > 0.0 && w > 0.0 { (p[0] - q[0]).hypot(p[1] - q[1]) } else { f64::INFINITY });
+            shifts[frame].push(if z > 0.0 && w > 0.0 {
+                (p[0] - q[0]).hypot(p[1] - q[1])
+            } else {
+                f64::INFINITY
+            });
         }
     }
     let known = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME);
@@ -157,7 +206,10 @@ fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: 
 
 /// Whether most of a track lies within masks (above 0) of the size of the frames.
 fn within(masks: &[Mask], track: &Track) -> bool {
-    let seen = masks.iter().skip(track.first_frame).zip(&track.observations);
+    let seen = masks
+        .iter()
+        .skip(track.first_frame)
+        .zip(&track.observations);
     let inside = seen.filter(|(mask, at)| {
         let cell = |v: f32, n: usize| ((v + 0.5).max(0.0) as usize).min(n.saturating_sub(1));
         mask[(cell(at[0], mask.width()), cell(at[1], mask.height()))] > 0
@@ -165,21 +217,29 @@ fn within(masks: &[Mask], track: &Track) -> bool {
     2 * inside.count() >= track.observations.len()
 }
 
-/// Whether other cameras are to be expected: there is parallax, masks do not cover everything, and in some frame they hold a share of what
-/// the cameras were estimated from.
+/// Whether other cameras are to be expected: there is parallax, masks do not cover everything, and
+/// in some frame they hold a share of what the cameras were estimated from.
 fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
-    if sparse.camera_motion != CameraMotion::Parallax || masks.iter().flat_map(|m| m.data()).all(|m| *m > 0) {
+    if sparse.camera_motion != CameraMotion::Parallax
+        || masks.iter().flat_map(|m| m.data()).all(|m| *m > 0)
+    {
         return false;
     }
     let mut observations = vec![(0usize, 0usize); masks.len()];
     for track in sparse.tracks.iter().filter(|t| t.motion == Motion::Static) {
         let masked = usize::from(within(masks, track));
-        for (all, inside) in observations.iter_mut().skip(track.first_frame).take(track.observations.len()) {
+        for (all, inside) in observations
+            .iter_mut()
+            .skip(track.first_frame)
+            .take(track.observations.len())
+        {
             *all += 1;
             *inside += masked;
         }
     }
-    observations.iter().any(|&(all, inside)| inside as f64 > MASKED * all as f64)
+    observations
+        .iter()
+        .any(|&(all, inside)| inside as f64 > MASKED * all as f64)
 }
 
 #[cfg(test)]
@@ -201,11 +261,17 @@ mod tests {
         let cameras: Vec<Camera> = (0..12).map(camera).collect();
         let track = |i: usize| {
             let point = Vector3::new(rng.normal(), 0.7 * rng.normal(), 3.0 + 3.0 * rng.uniform());
-            let seen = cameras.iter().map(|c| c.project(&point).0.map(|v| v as f32));
+            let seen = cameras
+                .iter()
+                .map(|c| c.project(&point).0.map(|v| v as f32));
             Track {
                 first_frame: 0,
                 observations: seen.collect(),
-                motion: if i.is_multiple_of(10) { Motion::Dynamic } else { Motion::Static },
+                motion: if i.is_multiple_of(10) {
+                    Motion::Dynamic
+                } else {
+                    Motion::Static
+                },
                 point: (!i.is_multiple_of(10)).then_some(point),
                 residual_px: 0.1,
             }
@@ -228,7 +294,10 @@ mod tests {
         let first = clip();
         let mut second = first.clone();
         // Turned, moved and twice as large; tracks in another order.
-        let (turn, shift) = (exp_so3(&Vector3::new(0.2, -0.4, 0.1)), Vector3::new(3.0, 1.0, -2.0));
+        let (turn, shift) = (
+            exp_so3(&Vector3::new(0.2, -0.4, 0.1)),
+            Vector3::new(3.0, 1.0, -2.0),
+        );
         for c in &mut second.cameras {
             c.c2w.rotation = turn * c.c2w.rotation;
             c.c2w.translation = turn * c.c2w.translation * 2.0 + shift;
@@ -238,7 +307,10 @@ mod tests {
         }
         second.tracks.reverse();
         let change = Change::between(&first, &second, none);
-        assert!(change.shift_px < 1e-6 && change.verdicts == 0.0, "{change:?}");
+        assert!(
+            change.shift_px < 1e-6 && change.verdicts == 0.0,
+            "{change:?}"
+        );
         assert!(!change.matters());
     }
 
@@ -253,11 +325,17 @@ mod tests {
         // 300 pixels of focal length: 0.15 and 0.6 pixels.
         assert!(!turned(0.0005).matters(), "{:?}", turned(0.0005));
         let change = turned(0.002);
-        assert!(change.matters() && (change.shift_px - 0.62).abs() < 0.1, "{change:?}");
+        assert!(
+            change.matters() && (change.shift_px - 0.62).abs() < 0.1,
+            "{change:?}"
+        );
 
         let verdicts = |n: usize, motion: Motion| {
             let mut second = first.clone();
-            let some = second.tracks.iter_mut().filter(|t| t.motion != motion && t.motion != Motion::Unknown);
+            let some = second
+                .tracks
+                .iter_mut()
+                .filter(|t| t.motion != motion && t.motion != Motion::Unknown);
             for t in some.take(n) {
                 t.motion = motion;
             }
@@ -265,7 +343,10 @@ mod tests {
         };
         assert!(!Change::between(&first, &verdicts(4, Motion::Dynamic), none).matters());
         let change = Change::between(&first, &verdicts(10, Motion::Dynamic), none);
-        assert!(change.matters() && (change.verdicts - 0.05).abs() < 1e-9, "{change:?}");
+        assert!(
+            change.matters() && (change.verdicts - 0.05).abs() < 1e-9,
+            "{change:?}"
+        );
         // What lies within masks does not count ...
         let second = verdicts(10, Motion::Dynamic);
         let masked = |t: &Track| t.motion == Motion::Dynamic;
@@ -290,14 +371,21 @@ mod tests {
         assert!(!worth(&clip, &vec![Plane::filled(320, 240, 0); 12]));
         assert!(!worth(&clip, &vec![Plane::filled(320, 240, 255); 12]));
         // a mask around dynamic tracks alone
-        let dynamic = clip.tracks.iter().find(|t| t.motion == Motion::Dynamic).unwrap();
+        let dynamic = clip
+            .tracks
+            .iter()
+            .find(|t| t.motion == Motion::Dynamic)
+            .unwrap();
         let around = |i: usize| {
             let [u, v] = dynamic.observations[i].map(|v| v.round() as usize);
             Plane::from_fn(320, 240, |x, y| if (x, y) == (u, v) { 255 } else { 0 })
         };
         let masks: Vec<_> = (0..12).map(around).collect();
         assert!(within(&masks, dynamic) && !worth(&clip, &masks));
-        let turning = SparseReconstruction { camera_motion: CameraMotion::RotationOnly, ..clip };
+        let turning = SparseReconstruction {
+            camera_motion: CameraMotion::RotationOnly,
+            ..clip
+        };
         assert!(!worth(&turning, &half));
     }
 }

@@ -8,15 +8,22 @@ use crate::{Error, Refusal, enhance};
 use m4_core::advice::{FIELD_OF_VIEW, INTRINSICS, MASKS};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane, Progress};
 use m4_geometry::flow::InverseSearch;
-use m4_geometry::megasam::{MegasamGeometry, MegasamInput, PairFlow, TAU_MOTION, TrackingSize, reconstruct, track};
+use m4_geometry::megasam::{
+    MegasamGeometry, MegasamInput, PairFlow, TAU_MOTION, TrackingSize, reconstruct, track,
+};
 use m4_geometry::resample::resize_bilinear;
 
-/// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (docs/spec/front-end.md 1.9).
+/// Share of moving pixels beyond which it is likelier that the network is misread than that so much
+/// moves (docs/spec/front-end.md 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;
 
 /// Reconstructs `clip`; refused where poses were given.
-pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture, GeometrySummary), Error> {
-    let (settings, steps, observer) = (&context.settings.megasam, context.steps, context.observer());
+pub(super) fn compute(
+    mut clip: Clip,
+    context: &Context<'_>,
+) -> Result<(Capture, GeometrySummary), Error> {
+    let (settings, steps, observer) =
+        (&context.settings.megasam, context.steps, context.observer());
     let (plan, device) = (&context.methods.frontend, &context.methods.device);
     let given = &clip.given;
     if given.cameras.is_some() {
@@ -50,16 +57,27 @@ pub(super) fn compute(mut clip: Clip, context: &Context<'_>) -> Result<(Capture,
     };
     let tracked = steps.keep("cameras", |observer| -> Result<_, Error> {
         let (masks, budget_mb) = (given.masks.as_deref(), settings.memory_budget_mb);
-        let mut network = NetworkCorrespondence::load(plan, &images, masks, size, budget_mb, &device.device)?;
+        let mut network =
+            NetworkCorrespondence::load(plan, &images, masks, size, budget_mb, &device.device)?;
         Ok(track(&input, &mut network, settings, observer)?)
     })?;
     let geometry = steps.keep("dense", |observer| -> Result<_, Error> {
         let raft = plan.raft_pairs(settings.flow_iterations, device)?;
         let mut flow: Box<dyn PairFlow> = raft.unwrap_or_else(|| Box::new(InverseSearch));
-        Ok(reconstruct(&input, tracked, flow.as_mut(), settings, observer)?)
+        Ok(reconstruct(
+            &input,
+            tracked,
+            flow.as_mut(),
+            settings,
+            observer,
+        )?)
     })?;
     drop(prior);
-    warn(&geometry, known_focal_px.is_some() || fov_rad.is_some(), observer);
+    warn(
+        &geometry,
+        known_focal_px.is_some() || fov_rad.is_some(),
+        observer,
+    );
     let given_names = given.names();
     let frames = frames(&geometry, full, clip.given.masks.take());
     let capture = clip.capture(frames, geometry.metric, None);
@@ -84,7 +102,8 @@ fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Progres
     }
 }
 
-/// Cameras, depth and masks of images of the size `full`; masks that the user provides replace those of the network.
+/// Cameras, depth and masks of images of the size `full`; masks that the user provides replace
+/// those of the network.
 fn frames(
     geometry: &MegasamGeometry,
     full: (usize, usize),
@@ -92,9 +111,14 @@ fn frames(
 ) -> impl Iterator<Item = FrameGeometry> {
     (0..geometry.c2w.len()).map(move |i| {
         let (w, h) = geometry.size.scaled;
-        let motion = geometry.static_at(i, w, h).map(|&m| 1.0 - m.clamp(0.0, 1.0));
+        let motion = geometry
+            .static_at(i, w, h)
+            .map(|&m| 1.0 - m.clamp(0.0, 1.0));
         FrameGeometry {
-            camera: Camera { intrinsics: geometry.lens, c2w: geometry.c2w[i] },
+            camera: Camera {
+                intrinsics: geometry.lens,
+                c2w: geometry.c2w[i],
+            },
             depth: geometry.depth[i].clone().into(),
             mask: match &masks {
                 Some(masks) => masks[i].clone().into(),
@@ -124,7 +148,12 @@ fn summary(
         size: [lens.width, lens.height],
         focal_px: lens.fx,
         fov_deg: lens.horizontal_fov_rad().to_degrees(),
-        camera_motion: if geometry.observability.has_parallax() { "parallax" } else { "rotation_only" }.to_owned(),
+        camera_motion: if geometry.observability.has_parallax() {
+            "parallax"
+        } else {
+            "rotation_only"
+        }
+        .to_owned(),
         residual_px: geometry.residual_px,
         moving_share: enhance::moving_share(capture).unwrap_or(0.0),
         frontend: plan.frontend.to_string(),

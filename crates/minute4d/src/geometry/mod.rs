@@ -9,8 +9,9 @@
 //! megasam       frames --tracking network--> cameras --optical flow--> consistent depth --> capture
 //! ```
 //!
-//! These steps are kept ([`crate::cache`]): optical flow of each pair of frames, depth from networks of each frame, the
-//! reconstruction of cameras, and dense depth; the last two again for a second pass.
+//! These steps are kept ([`crate::cache`]): optical flow of each pair of frames, depth from
+//! networks of each frame, the reconstruction of cameras, and dense depth; the last two again for a
+//! second pass.
 
 mod classical;
 mod clip;
@@ -55,7 +56,8 @@ impl Plan {
     pub fn new(settings: &Settings, device: DeviceChoice) -> Result<Self, Error> {
         let mut settings = settings.clone();
         // flow tracks are computed with the depth, unless another method tracks points afterwards
-        settings.dense.tracks &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
+        settings.dense.tracks &=
+            !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
         let methods = Methods::resolve(&settings.geometry, device)?;
         Ok(Self { settings, methods })
     }
@@ -67,7 +69,12 @@ impl Plan {
     /// [`Error`] with the file of the user's that is missing or cannot be read.
     pub fn dependencies(&self) -> Result<Dependencies<'_>, Error> {
         let settings = &self.settings;
-        let Methods { frontend, segmenter, enhance, device } = &self.methods;
+        let Methods {
+            frontend,
+            segmenter,
+            enhance,
+            device,
+        } = &self.methods;
         Ok(Dependencies {
             video: &settings.video,
             sparse: &settings.sparse,
@@ -97,7 +104,8 @@ pub struct Reconstruction {
     pub objects: Option<InstanceReport>,
 }
 
-/// Everything besides the frames that a reconstruction depends on; the same dependencies and frames give the same bits.
+/// Everything besides the frames that a reconstruction depends on; the same dependencies and frames
+/// give the same bits.
 #[derive(Debug, Serialize)]
 pub struct Dependencies<'a> {
     video: &'a m4_io::video::VideoOptions,
@@ -137,7 +145,8 @@ struct Methods {
 }
 
 impl Methods {
-    /// Resolves `options`; fails if weights are missing, the build has no networks, or the GPU does not start.
+    /// Resolves `options`; fails if weights are missing, the build has no networks, or the GPU does
+    /// not start.
     fn resolve(options: &GeometryOptions, device: DeviceChoice) -> Result<Self, Error> {
         let frontend = frontend::plan(&options.frontend, device)?;
         // Masks are made of MegaSaM's map of motion afterwards.
@@ -147,15 +156,25 @@ impl Methods {
         };
         let segmenter = resolve_segmenter(asked)?;
         // Masks that the user gave stay.
-        let refined = if options.masks.is_some() { Segmenter::None } else { options.segmenter };
+        let refined = if options.masks.is_some() {
+            Segmenter::None
+        } else {
+            options.segmenter
+        };
         let enhance = enhance::Plan::of(refined, options.tracker, before)?;
         let device = if frontend.used.is_empty() && !enhance.has_network() {
-            // A GPU that is not needed is not started, and does not count as a difference between results.
+            // A GPU that is not needed is not started, and does not count as a difference between
+            // results.
             NetworkDevice::processor()
         } else {
             device.for_networks()?
         };
-        Ok(Self { frontend, segmenter, enhance, device })
+        Ok(Self {
+            frontend,
+            segmenter,
+            enhance,
+            device,
+        })
     }
 }
 
@@ -174,7 +193,8 @@ impl<'a> Context<'a> {
     }
 }
 
-/// Reads the clip `input`, finds its geometry (Minute4D Eq. 3), refines masks and tracks points as planned.
+/// Reads the clip `input`, finds its geometry (Minute4D Eq. 3), refines masks and tracks points as
+/// planned.
 ///
 /// # Errors
 ///
@@ -185,7 +205,11 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
     for note in &methods.frontend.notes {
         observer.warn(note);
     }
-    let context = Context { settings, methods, steps };
+    let context = Context {
+        settings,
+        methods,
+        steps,
+    };
     let between = Between::of(settings, &methods.frontend);
     let clip = Clip::read(input, between, &context)?;
     let (capture, mut summary) = match methods.frontend.is_megasam() {
@@ -205,5 +229,9 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
     if let Some(tracks) = &capture.tracks {
         summary.moving_tracks = tracks.count();
     }
-    Ok(Reconstruction { capture, summary, objects })
+    Ok(Reconstruction {
+        capture,
+        summary,
+        objects,
+    })
 }

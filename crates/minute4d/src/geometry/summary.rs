@@ -37,7 +37,8 @@ pub struct GeometrySummary {
     /// Number of keyframes of the tracking network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub keyframes: Option<Vec<usize>>,
-    /// Units of MegaSaM's own files (disparities whose 98th percentile is 2) a metre, where depth is metric.
+    /// Units of MegaSaM's own files (disparities whose 98th percentile is 2) a metre, where depth
+    /// is metric.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub megasam_units_a_metre: Option<f64>,
     /// The segmentation method: `none`, `mobilesam`.

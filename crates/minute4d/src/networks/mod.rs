@@ -33,11 +33,14 @@ pub struct UsedNetwork {
 #[cfg(feature = "nets")]
 pub(crate) fn installed(names: &[&str]) -> Option<(&'static Entry, PathBuf)> {
     let store = Store::of_user().ok()?;
-    names.iter().filter_map(|name| weights::find(name).ok()).find_map(|entry| Some((entry, store.require(entry).ok()?)))
+    names
+        .iter()
+        .filter_map(|name| weights::find(name).ok())
+        .find_map(|entry| Some((entry, store.require(entry).ok()?)))
 }
 
-/// The first of `names`, best first, whose weights are installed, and their file. Where there are none and they are `required`, fails with
-/// how to get the best.
+/// The first of `names`, best first, whose weights are installed, and their file. Where there are
+/// none and they are `required`, fails with how to get the best.
 #[cfg(feature = "nets")]
 pub(crate) fn network(
     names: &[&str],
@@ -64,5 +67,11 @@ pub(crate) fn network(
 /// The error of weights of `method` that cannot be loaded.
 #[cfg(feature = "nets")]
 pub(crate) fn unusable(method: NetworkMethod) -> impl Fn(LoadError) -> Error {
-    move |source| NetworkError::Load { method, source: Box::new(source) }.into()
+    move |source| {
+        NetworkError::Load {
+            method,
+            source: Box::new(source),
+        }
+        .into()
+    }
 }

@@ -36,22 +36,30 @@ pub(crate) fn resolve(segmenter: Segmenter) -> Result<Resolved, Error> {
 pub(crate) fn resolve(segmenter: Segmenter) -> Result<Resolved, Error> {
     match segmenter {
         Segmenter::None | Segmenter::Auto => Ok(Resolved {}),
-        Segmenter::Mobilesam | Segmenter::Sam2 => {
-            Err(NetworkError::NotBuilt { method: NetworkMethod::Segmenter(segmenter) }.into())
+        Segmenter::Mobilesam | Segmenter::Sam2 => Err(NetworkError::NotBuilt {
+            method: NetworkMethod::Segmenter(segmenter),
         }
+        .into()),
     }
 }
 
 impl Resolved {
     /// Its name, never `auto`.
     pub(crate) fn name(&self) -> &'static str {
-        if self.weights_hash().is_some() { Segmenter::Mobilesam.name() } else { Segmenter::None.name() }
+        if self.weights_hash().is_some() {
+            Segmenter::Mobilesam.name()
+        } else {
+            Segmenter::None.name()
+        }
     }
 
     /// BLAKE3 of its weights.
     pub(crate) fn weights_hash(&self) -> Option<&str> {
         #[cfg(feature = "nets")]
-        return self.weights.as_ref().map(|(network, _)| network.blake3.as_str());
+        return self
+            .weights
+            .as_ref()
+            .map(|(network, _)| network.blake3.as_str());
         #[cfg(not(feature = "nets"))]
         None
     }
@@ -60,8 +68,11 @@ impl Resolved {
     pub(crate) fn load(&self) -> Result<Option<Box<dense::Segmenter<'static>>>, Error> {
         #[cfg(feature = "nets")]
         if let Some((_, path)) = &self.weights {
-            let net = m4_nets::MobileSam::load(path, m4_nets::cpu()).map_err(super::unusable(METHOD))?;
-            return Ok(Some(Box::new(move |image, size, prompts| network::masks(&net, image, size, prompts))));
+            let net =
+                m4_nets::MobileSam::load(path, m4_nets::cpu()).map_err(super::unusable(METHOD))?;
+            return Ok(Some(Box::new(move |image, size, prompts| {
+                network::masks(&net, image, size, prompts)
+            })));
         }
         Ok(None)
     }
@@ -76,9 +87,20 @@ mod network {
     use m4_nets::{MobileSam, PointPrompt, Prompt};
 
     /// A prompt of an image of `size` as one of `image`.
-    fn converted(prompt: &SegmentPrompt, belief: Plane<f32>, image: &RgbImage, size: (usize, usize)) -> Prompt {
-        let (sx, sy) = (image.width() as f32 / size.0 as f32, image.height() as f32 / size.1 as f32);
-        let point = |&[x, y]: &[f32; 2], on_object: bool| PointPrompt { at_px: [x * sx, y * sy], on_object };
+    fn converted(
+        prompt: &SegmentPrompt,
+        belief: Plane<f32>,
+        image: &RgbImage,
+        size: (usize, usize),
+    ) -> Prompt {
+        let (sx, sy) = (
+            image.width() as f32 / size.0 as f32,
+            image.height() as f32 / size.1 as f32,
+        );
+        let point = |&[x, y]: &[f32; 2], on_object: bool| PointPrompt {
+            at_px: [x * sx, y * sy],
+            on_object,
+        };
         let on = prompt.points_px.iter().map(|p| point(p, true));
         let off = prompt.off_points_px.iter().map(|p| point(p, false));
         let [x0, y0, x1, y1] = prompt.box_px;
@@ -103,7 +125,10 @@ mod network {
             let masks = net.masks(&embedding, &converted(prompt, belief, image, size))?;
             // The first: box, points and belief leave no doubt which thing is meant.
             let mask = masks.first().ok_or("the network gave no mask")?;
-            Ok(SegmentMask { logits: mask.logits_at(size).data().to_vec(), quality: mask.iou })
+            Ok(SegmentMask {
+                logits: mask.logits_at(size).data().to_vec(),
+                quality: mask.iou,
+            })
         };
         prompts.iter().map(one).collect()
     }
@@ -126,7 +151,10 @@ mod tests {
 
     fn colour_image() -> RgbImage {
         Plane::from_fn(FULL.0, FULL.1, |x, y| {
-            let (x, y) = ((x as f32 + 0.5) / FULL.0 as f32, (y as f32 + 0.5) / FULL.0 as f32);
+            let (x, y) = (
+                (x as f32 + 0.5) / FULL.0 as f32,
+                (y as f32 + 0.5) / FULL.0 as f32,
+            );
             if on_disc(x, y) {
                 return [220, 60, 40];
             }
@@ -148,7 +176,8 @@ mod tests {
         let truth: Vec<bool> = pixels.clone().map(at).map(|(x, y)| on_disc(x, y)).collect();
         // A box of another shape, larger and beside it.
         let edges = [0.33f32, 0.15, 0.63, 0.45];
-        let inside = |(x, y): (f32, f32)| x > edges[0] && y > edges[1] && x < edges[2] && y < edges[3];
+        let inside =
+            |(x, y): (f32, f32)| x > edges[0] && y > edges[1] && x < edges[2] && y < edges[3];
         let coarse: Vec<bool> = pixels.map(|p| inside(at(p))).collect();
         let prompt = SegmentPrompt {
             points_px: vec![[0.48 * SMALL.0 as f32, 0.3 * SMALL.0 as f32]],
@@ -159,7 +188,9 @@ mod tests {
         let found = segmenter(&colour_image(), SMALL, &[prompt]).unwrap();
         let found: Vec<bool> = found[0].logits.iter().map(|&logit| logit > 0.0).collect();
         let overlap = |mask: &[bool]| {
-            let count = |f: &dyn Fn(bool, bool) -> bool| mask.iter().zip(&truth).filter(|(a, b)| f(**a, **b)).count();
+            let count = |f: &dyn Fn(bool, bool) -> bool| {
+                mask.iter().zip(&truth).filter(|(a, b)| f(**a, **b)).count()
+            };
             count(&|a, b| a && b) as f64 / count(&|a, b| a || b) as f64
         };
         let (before, after) = (overlap(&coarse), overlap(&found));

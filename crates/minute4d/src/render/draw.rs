@@ -24,12 +24,18 @@ pub struct Painter<'a> {
 impl<'a> Painter<'a> {
     /// Draws `scene` on the vector instructions given.
     pub fn new(scene: &'a Scene, level: SimdLevel) -> Self {
-        Self { scene, renderer: Renderer::new(level) }
+        Self {
+            scene,
+            renderer: Renderer::new(level),
+        }
     }
 
     /// Renders a camera at a time (frames), before exposure.
     pub fn frame(&mut self, camera: &Camera, t: f64, with_depth: bool) -> &Frame {
-        let view = View { with_depth, ..view(self.scene, camera, t) };
+        let view = View {
+            with_depth,
+            ..view(self.scene, camera, t)
+        };
         self.renderer.render(&self.scene.splats, &view)
     }
 
@@ -68,7 +74,10 @@ pub fn view(scene: &Scene, camera: &Camera, t: f64) -> View {
 pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
     let (m, o) = (&exposure.matrix, &exposure.offset);
     let mut out = Plane::filled(frame.width, frame.height, [0; 3]);
-    let rows = out.data_mut().par_chunks_exact_mut(frame.width.max(1)).enumerate();
+    let rows = out
+        .data_mut()
+        .par_chunks_exact_mut(frame.width.max(1))
+        .enumerate();
     rows.for_each(|(y, row)| {
         for (x, out) in row.iter_mut().enumerate() {
             let i = y * frame.width + x;
@@ -82,7 +91,8 @@ pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
     out
 }
 
-/// Renders a scene on a GPU if there is one, else on the CPU, and from the image on at which a GPU fails that no one asked for.
+/// Renders a scene on a GPU if there is one, else on the CPU, and from the image on at which a GPU
+/// fails that no one asked for.
 pub struct SceneRenderer<'a> {
     scene: &'a Scene,
     painter: Painter<'a>,
@@ -101,7 +111,8 @@ struct OnGpu<'a> {
 }
 
 impl<'a> SceneRenderer<'a> {
-    /// Copies the splats to the GPU, if there is one; `observer` is warned where the CPU takes over.
+    /// Copies the splats to the GPU, if there is one; `observer` is warned where the CPU takes
+    /// over.
     ///
     /// # Errors
     ///
@@ -112,12 +123,20 @@ impl<'a> SceneRenderer<'a> {
         gpu: Option<&OpenGpu>,
         observer: &'a dyn Observer,
     ) -> Result<Self, Error> {
-        let mut out = Self { scene, painter: Painter::new(scene, level), on_gpu: None, observer };
+        let mut out = Self {
+            scene,
+            painter: Painter::new(scene, level),
+            on_gpu: None,
+            observer,
+        };
         if let Some(gpu) = gpu {
             match gpu.painter(&scene.splats) {
                 Ok(mut painter) => {
                     let frame = Box::new(move |view: &View| painter.frame(view));
-                    out.on_gpu = Some(OnGpu { frame, automatic: gpu.is_automatic() });
+                    out.on_gpu = Some(OnGpu {
+                        frame,
+                        automatic: gpu.is_automatic(),
+                    });
                 }
                 Err(error) if gpu.is_automatic() => out.leave_gpu(&error),
                 Err(error) => return Err(error),
@@ -136,7 +155,8 @@ impl<'a> SceneRenderer<'a> {
         self.on_gpu.is_some()
     }
 
-    /// Renders a camera at a time (frames) as the kernels give it: without exposure, clamping or rounding.
+    /// Renders a camera at a time (frames) as the kernels give it: without exposure, clamping or
+    /// rounding.
     ///
     /// # Errors
     ///
@@ -153,7 +173,12 @@ impl<'a> SceneRenderer<'a> {
     /// # Errors
     ///
     /// As [`Self::frame`].
-    pub fn image(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> Result<RgbImage, Error> {
+    pub fn image(
+        &mut self,
+        camera: &Camera,
+        t: f64,
+        exposure: &Exposure,
+    ) -> Result<RgbImage, Error> {
         match self.frame_on_gpu(camera, t)? {
             Some(frame) => Ok(to_rgb(&frame, exposure)),
             None => Ok(self.painter.image(camera, t, exposure)),
@@ -162,7 +187,9 @@ impl<'a> SceneRenderer<'a> {
 
     /// `None` where the CPU is to draw.
     fn frame_on_gpu(&mut self, camera: &Camera, t: f64) -> Result<Option<Frame>, Error> {
-        let Some(gpu) = &mut self.on_gpu else { return Ok(None) };
+        let Some(gpu) = &mut self.on_gpu else {
+            return Ok(None);
+        };
         match (gpu.frame)(&view(self.scene, camera, t)) {
             Ok(frame) => Ok(Some(frame)),
             Err(error) if gpu.automatic => {
@@ -174,7 +201,8 @@ impl<'a> SceneRenderer<'a> {
     }
 
     fn leave_gpu(&mut self, error: &Error) {
-        self.observer.warn(&format!("{error}; the CPU draws from here on"));
+        self.observer
+            .warn(&format!("{error}; the CPU draws from here on"));
         self.on_gpu = None;
     }
 }
@@ -186,7 +214,10 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 /// The destination of images.
 pub(super) enum Sink {
     /// `00000.png` and so on.
-    Folder { results: ResultFolder, images: ImageWriters },
+    Folder {
+        results: ResultFolder,
+        images: ImageWriters,
+    },
     /// One image.
     Image(PathBuf),
     /// A clip.
@@ -209,7 +240,10 @@ impl Sink {
         }
         results::check_target(out, inputs)?;
         if out.exists() && !replace {
-            return Err(OutputError::WouldReplace { path: out.to_path_buf() }.into());
+            return Err(OutputError::WouldReplace {
+                path: out.to_path_buf(),
+            }
+            .into());
         }
         Ok(())
     }
@@ -239,8 +273,12 @@ impl Sink {
             let images = ImageWriters::new(results.begin()?);
             return Ok(Self::Folder { results, images });
         }
-        let size = stops.first().map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
-        Ok(Self::Video(Box::new(Mp4Writer::create(out, size.0, size.1, fps)?)))
+        let size = stops.first().map_or((0, 0), |s| {
+            (s.camera.intrinsics.width, s.camera.intrinsics.height)
+        });
+        Ok(Self::Video(Box::new(Mp4Writer::create(
+            out, size.0, size.1, fps,
+        )?)))
     }
 
     /// The next image, which is encoded while others are drawn.
@@ -256,7 +294,10 @@ impl Sink {
     /// Completes the file, or puts the images into the place of those of an earlier render.
     pub fn finish(self) -> Result<(), Error> {
         match self {
-            Self::Folder { mut results, images } => {
+            Self::Folder {
+                mut results,
+                images,
+            } => {
                 images.finish()?;
                 results.commit(None)?;
                 Ok(())
@@ -268,7 +309,8 @@ impl Sink {
 }
 
 fn extension(out: &Path) -> String {
-    out.extension().map_or_else(String::new, |e| e.to_string_lossy().to_lowercase())
+    out.extension()
+        .map_or_else(String::new, |e| e.to_string_lossy().to_lowercase())
 }
 
 fn is_file(extension: &str) -> bool {
@@ -287,14 +329,24 @@ mod tests {
     #[test]
     fn the_cpu_takes_over_from_a_gpu_that_no_one_asked_for() {
         let scene = random_scene(&SceneSpec::default());
-        let camera = Camera { intrinsics: Intrinsics::centred(48, 32, 40.0), c2w: Se3::identity() };
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(48, 32, 40.0),
+            c2w: Se3::identity(),
+        };
         let level = SimdLevel::detect().unwrap();
         let drawn = Painter::new(&scene, level).image(&camera, 1.0, &Exposure::IDENTITY);
         let observer = RecordingObserver::new(&Silent);
         let with = |automatic: bool| {
-            let frame = Box::new(|_: &_| Err(Error::Internal { what: "device lost".to_owned() }));
+            let frame = Box::new(|_: &_| {
+                Err(Error::Internal {
+                    what: "device lost".to_owned(),
+                })
+            });
             let on_gpu = Some(OnGpu { frame, automatic });
-            SceneRenderer { on_gpu, ..SceneRenderer::new(&scene, level, None, &observer).unwrap() }
+            SceneRenderer {
+                on_gpu,
+                ..SceneRenderer::new(&scene, level, None, &observer).unwrap()
+            }
         };
         let mut automatic = with(true);
         for _ in 0..2 {
@@ -303,9 +355,15 @@ mod tests {
         }
         let warnings = observer.warnings();
         assert!(
-            warnings.len() == 1 && warnings[0].contains("device lost") && warnings[0].contains("CPU"),
+            warnings.len() == 1
+                && warnings[0].contains("device lost")
+                && warnings[0].contains("CPU"),
             "{warnings:?}"
         );
-        assert!(with(false).image(&camera, 1.0, &Exposure::IDENTITY).is_err());
+        assert!(
+            with(false)
+                .image(&camera, 1.0, &Exposure::IDENTITY)
+                .is_err()
+        );
     }
 }

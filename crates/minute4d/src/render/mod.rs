@@ -37,7 +37,8 @@ pub struct RenderJob {
     pub time: TimePath,
     /// Frames a second; `None` for that of the file of cameras or of the source.
     pub fps: Option<f64>,
-    /// Columns and rows of the images; `None` for those of the cameras. A view of another aspect ratio is cropped.
+    /// Columns and rows of the images; `None` for those of the cameras. A view of another aspect
+    /// ratio is cropped.
     pub size: Option<(usize, usize)>,
     /// Replace existing files.
     pub replace: bool,
@@ -63,8 +64,8 @@ impl RenderJob {
     ///
     /// # Errors
     ///
-    /// As [`CameraPath::plan`]; [`Error::Time`] if a moment lies outside the scene, [`Error::Refused`] for
-    /// sizes that are not rendered.
+    /// As [`CameraPath::plan`]; [`Error::Time`] if a moment lies outside the scene,
+    /// [`Error::Refused`] for sizes that are not rendered.
     pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>) -> Result<Plan, Error> {
         let mut plan = self.path.plan(scene, painter, self)?;
         let own: Vec<f64> = plan.stops.iter().map(|stop| stop.t).collect();
@@ -94,20 +95,29 @@ pub struct Rendered {
     pub device: String,
 }
 
-/// Renders a scene (a file, or the folder of a run) to a folder of PNG images, to an MP4 where `out`
-/// ends in `.mp4`, or to one image where it ends in `.png` or `.jpg`. An MP4 is read back and its frames
-/// are counted before it gets its name.
+/// Renders a scene (a file, or the folder of a run) to a folder of PNG images, to an MP4 where
+/// `out` ends in `.mp4`, or to one image where it ends in `.png` or `.jpg`. An MP4 is read back and
+/// its frames are counted before it gets its name.
 ///
 /// # Errors
 ///
 /// [`Error`]: the scene or the cameras cannot be read, a moment lies outside the scene, options cannot
 /// work, or the images cannot be written.
-pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) -> Result<Rendered, Error> {
+pub fn make(
+    scene: &Path,
+    out: &Path,
+    job: &RenderJob,
+    observer: &dyn Observer,
+) -> Result<Rendered, Error> {
     let start = Instant::now();
     Sink::check(out, job.replace, &[scene])?;
     let level = SimdLevel::detect()?;
     crate::layout::settle(scene)?;
-    let file = if scene.is_dir() { scene.join(SCENE_FILE) } else { scene.to_path_buf() };
+    let file = if scene.is_dir() {
+        scene.join(SCENE_FILE)
+    } else {
+        scene.to_path_buf()
+    };
     let scene = safetensors::read(&file)?.scene;
     let gpu = job.device.open(|why| observer.warn(why))?;
     let mut renderer = SceneRenderer::new(&scene, level, gpu.as_ref(), observer)?;
@@ -116,20 +126,29 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
     for (i, stop) in stops.iter().enumerate() {
         if observer.cancelled() {
-            return Err(Error::Stopped { stage: "render", saved: false });
+            return Err(Error::Stopped {
+                stage: "render",
+                saved: false,
+            });
         }
         let image = renderer.image(&stop.camera, stop.t, &stop.exposure)?;
         sink.push(image)?;
         observer.update("render", i + 1, stops.len(), "");
     }
     sink.finish()?;
-    let size = stops.first().map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
+    let size = stops.first().map_or((0, 0), |s| {
+        (s.camera.intrinsics.width, s.camera.intrinsics.height)
+    });
     Ok(Rendered {
         frames: stops.len(),
         fps: plan.fps,
         size,
         seconds: start.elapsed().as_secs_f64(),
-        device: gpu.as_ref().filter(|_| renderer.is_on_gpu()).map_or(level.name(), |gpu| gpu.name()).to_owned(),
+        device: gpu
+            .as_ref()
+            .filter(|_| renderer.is_on_gpu())
+            .map_or(level.name(), |gpu| gpu.name())
+            .to_owned(),
     })
 }
 
@@ -137,7 +156,9 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
 pub fn source_fps(scene: &Scene) -> f64 {
     let steps = scene.time_frames.saturating_sub(1) as f64;
     match scene.duration_s {
-        Some(duration_s) if duration_s > 0.0 && steps > 0.0 => (steps / duration_s).clamp(1.0, 240.0),
+        Some(duration_s) if duration_s > 0.0 && steps > 0.0 => {
+            (steps / duration_s).clamp(1.0, 240.0)
+        }
         _ => DEFAULT_FPS,
     }
 }
@@ -145,8 +166,9 @@ pub fn source_fps(scene: &Scene) -> f64 {
 /// Longest side of an image, pixels.
 pub const MAX_SIDE_PX: usize = 16_384;
 
-/// The same view on an image of `width` x `height` pixels, cut off where the aspect ratio differs: pixels keep their shape, the middle
-/// of the image stays the middle, and the principal point moves with it.
+/// The same view on an image of `width` x `height` pixels, cut off where the aspect ratio differs:
+/// pixels keep their shape, the middle of the image stays the middle, and the principal point moves
+/// with it.
 fn cropped(k: &Intrinsics, (width, height): (usize, usize)) -> Result<Intrinsics, Refusal> {
     let fits = |side: usize| (1..=MAX_SIDE_PX).contains(&side);
     if !fits(width) || !fits(height) {
@@ -171,7 +193,14 @@ mod tests {
     use super::cropped;
     use m4_core::Intrinsics;
 
-    const K: Intrinsics = Intrinsics { width: 480, height: 360, fx: 400.0, fy: 410.0, cx: 250.0, cy: 170.0 };
+    const K: Intrinsics = Intrinsics {
+        width: 480,
+        height: 360,
+        fx: 400.0,
+        fy: 410.0,
+        cx: 250.0,
+        cy: 170.0,
+    };
 
     #[test]
     fn a_crop_keeps_the_ray_through_the_image_centre() {

@@ -8,8 +8,8 @@ use crate::Refusal;
 pub struct PathOptions {
     /// Length of the video, seconds.
     pub seconds: Option<f64>,
-    /// The moment of the source whose camera a path starts from; for the bullet, where time is frozen;
-    /// for the source and its like, the one image that is wanted.
+    /// The moment of the source whose camera a path starts from; for the bullet, where time is
+    /// frozen; for the source and its like, the one image that is wanted.
     pub at: Option<Moment>,
     /// Greatest turn to either side, degrees; below 0 the other way round.
     pub degrees: Option<f64>,
@@ -30,14 +30,26 @@ impl CameraPath {
 impl PathOptions {
     /// Refuses what means nothing for the path, and numbers that cannot work.
     pub fn check(&self, path: &CameraPath) -> Result<(), Refusal> {
-        let given =
-            [("seconds", self.seconds.is_some()), ("at", self.at.is_some()), ("degrees", self.degrees.is_some())];
+        let given = [
+            ("seconds", self.seconds.is_some()),
+            ("at", self.at.is_some()),
+            ("degrees", self.degrees.is_some()),
+        ];
         let known = path.takes();
-        if let Some((option, _)) = given.into_iter().find(|(name, given)| *given && !known.contains(name)) {
+        if let Some((option, _)) = given
+            .into_iter()
+            .find(|(name, given)| *given && !known.contains(name))
+        {
             return Err(unused(option, &path.to_string(), known));
         }
         let numbers = [
-            ("seconds", self.seconds, 0.01, 3600.0, "0.01 to 3600 seconds"),
+            (
+                "seconds",
+                self.seconds,
+                0.01,
+                3600.0,
+                "0.01 to 3600 seconds",
+            ),
             ("degrees", self.degrees, -60.0, 60.0, "at most 60 degrees"),
         ];
         for (option, value, least, most, expected) in numbers {
@@ -56,5 +68,7 @@ pub(super) fn unused(option: &str, path: &str, known: &[&str]) -> Refusal {
         [] => "none of these options".to_owned(),
         known => known.join(", "),
     };
-    Refusal::usage(format!("the option {option} has no meaning for the camera path {path}; it takes {takes}"))
+    Refusal::usage(format!(
+        "the option {option} has no meaning for the camera path {path}; it takes {takes}"
+    ))
 }

@@ -1,4 +1,5 @@
-//! The region in which a camera may move: the view of its start, and the positions of the source camera.
+//! The region in which a camera may move: the view of its start, and the positions of the source
+//! camera.
 
 use super::{Painter, Stop};
 use m4_core::{Column, Scene, nalgebra::Vector3};
@@ -16,7 +17,8 @@ const LEAST_MOVING: usize = 50;
 pub struct Region {
     /// The start of a path.
     pub stop: Stop,
-    /// Median z-depth of dynamic regions in the image, or of the whole image where nothing does; world units.
+    /// Median z-depth of dynamic regions in the image, or of the whole image where nothing does;
+    /// world units.
     pub distance: f64,
     /// Sideways distance of the source cameras, world units.
     pub reach: f64,
@@ -26,15 +28,23 @@ impl Region {
     /// The surroundings of a camera of the scene. Where it sees nothing, the distance is one unit.
     pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: Stop) -> Self {
         let all = painter.median_depth(&stop.camera, stop.t).unwrap_or(1.0);
-        // The dynamic part is what one looks at, and what bears a turn of the camera least: the turn is about it.
+        // The dynamic part is what one looks at, and what bears a turn of the camera least: the
+        // turn is about it.
         let distance = moving_depth(scene, &stop).unwrap_or(all);
         let centres: Vec<Vector3<f64>> = scene.source.iter().map(|s| s.camera.centre()).collect();
-        Self { stop, distance, reach: reach(&stop, &centres) }
+        Self {
+            stop,
+            distance,
+            reach: reach(&stop, &centres),
+        }
     }
 
     /// Returns the point that the camera looks at.
     pub fn pivot(&self) -> Vector3<f64> {
-        self.stop.camera.c2w.transform(&Vector3::new(0.0, 0.0, self.distance))
+        self.stop
+            .camera
+            .c2w
+            .transform(&Vector3::new(0.0, 0.0, self.distance))
     }
 }
 
@@ -81,23 +91,35 @@ fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
 
 fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
     let side = stop.camera.c2w.rotation.column(0);
-    let mut ways: Vec<f64> = centres.iter().map(|c| side.dot(&(c - stop.camera.centre())).abs()).collect();
+    let mut ways: Vec<f64> = centres
+        .iter()
+        .map(|c| side.dot(&(c - stop.camera.centre())).abs())
+        .collect();
     ways.sort_by(f64::total_cmp);
     let last = ways.len().saturating_sub(1);
-    ways.get((REACH_SHARE * last as f64).round() as usize).copied().unwrap_or(0.0)
+    ways.get((REACH_SHARE * last as f64).round() as usize)
+        .copied()
+        .unwrap_or(0.0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::moving_depth;
     use crate::render::Stop;
-    use m4_core::{Binding, Camera, Column, Exposure, Intrinsics, Pose, Se3, SplatLayout, Splats, Window};
+    use m4_core::{
+        Binding, Camera, Column, Exposure, Intrinsics, Pose, Se3, SplatLayout, Splats, Window,
+    };
     use std::sync::Arc;
 
     #[test]
     fn depth_is_that_of_visible_dynamic_splats() {
-        let layout = SplatLayout { isotropic: true, sh_degree: 0, time_degree: 0 };
-        // 100 static splats at 9; 60 moving ones that are at 4 in frame 10; 60 beside the image; 60 of frame 30.
+        let layout = SplatLayout {
+            isotropic: true,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        // 100 static splats at 9; 60 moving ones that are at 4 in frame 10; 60 beside the image; 60
+        // of frame 30.
         let mut splats = Splats::zeros(layout, 100, 180);
         splats.column_mut(Column::Opacity, 0).fill(3.0);
         let z = splats.column_mut(Column::Mean, 2);
@@ -112,7 +134,10 @@ mod tests {
         splats.column_mut(Column::Velocity, 2)[..60].fill(0.5);
         let mut scene = m4_testkit::bare_scene(splats, 31);
         let stop = Stop {
-            camera: Camera { intrinsics: Intrinsics::centred(64, 48, 50.0), c2w: Se3::identity() },
+            camera: Camera {
+                intrinsics: Intrinsics::centred(64, 48, 50.0),
+                c2w: Se3::identity(),
+            },
             t: 10.0,
             exposure: Exposure::IDENTITY,
         };
@@ -120,11 +145,22 @@ mod tests {
         let later = Stop { t: 30.0, ..stop };
         assert_eq!(moving_depth(&scene, &later), Some(2.0));
         // bound splats are where nodes carry them, while they live
-        let pose = Pose { position: [0.0, 0.0, 2.5], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let pose = Pose {
+            position: [0.0, 0.0, 2.5],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+        };
         let window = Window::new(vec![10.0], vec![[0.0; 3]], vec![pose]).unwrap();
-        let binding = Binding { window: 0, nodes: [0; 4], weights: [0.25; 4], life: [9.0, 12.0] };
+        let binding = Binding {
+            window: 0,
+            nodes: [0; 4],
+            weights: [0.25; 4],
+            life: [9.0, 12.0],
+        };
         scene.splats.column_mut(Column::Velocity, 2).fill(0.0);
-        scene.splats.bind(Arc::new(vec![window]), vec![binding; 60]).unwrap();
+        scene
+            .splats
+            .bind(Arc::new(vec![window]), vec![binding; 60])
+            .unwrap();
         assert_eq!(moving_depth(&scene, &stop), Some(5.5));
         assert_eq!(moving_depth(&scene, &Stop { t: 15.0, ..stop }), None);
         scene.splats.column_mut(Column::Opacity, 0).fill(-6.0);

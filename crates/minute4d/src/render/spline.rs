@@ -1,8 +1,9 @@
 //! Smooth interpolation of points and poses.
 //!
-//! Between two nodes the curve is a cubic Bezier curve whose slopes at the nodes are the differences to the
-//! neighbours, weighted by the times between them: a non-uniform Catmull-Rom spline. Rotations use the same construction
-//! with great arcs instead of straight lines (Shoemake, "Animating rotation with quaternion curves", 1985).
+//! Between two nodes the curve is a cubic Bezier curve whose slopes at the nodes are the
+//! differences to the neighbours, weighted by the times between them: a non-uniform Catmull-Rom
+//! spline. Rotations use the same construction with great arcs instead of straight lines (Shoemake,
+//! "Animating rotation with quaternion curves", 1985).
 
 use m4_core::{
     Se3,
@@ -20,9 +21,15 @@ pub struct Spline<const N: usize> {
 impl<const N: usize> Spline<N> {
     /// Through `points` at `times`, which increase; both of the same length, at least 1.
     pub fn new(times: Vec<f64>, points: Vec<SVector<f64, N>>) -> Self {
-        let steps: Vec<_> = (1..points.len()).map(|i| points[i] - points[i - 1]).collect();
+        let steps: Vec<_> = (1..points.len())
+            .map(|i| points[i] - points[i - 1])
+            .collect();
         let slopes = slopes(&times, &steps);
-        Self { times, points, slopes }
+        Self {
+            times,
+            points,
+            slopes,
+        }
     }
 
     /// The point at a time; before the first node and after the last one the nearest node.
@@ -50,13 +57,21 @@ pub struct PoseSpline {
 }
 
 impl PoseSpline {
-    /// Through `poses` (camera to world) at `times`, which increase; both of the same length, at least 1.
+    /// Through `poses` (camera to world) at `times`, which increase; both of the same length, at
+    /// least 1.
     pub fn new(times: Vec<f64>, poses: Vec<Se3<f64>>) -> Self {
         let turns: Vec<_> = poses.iter().map(|p| quaternion(&p.rotation)).collect();
-        let steps: Vec<_> = (1..turns.len()).map(|i| (turns[i - 1].inverse() * turns[i]).scaled_axis()).collect();
+        let steps: Vec<_> = (1..turns.len())
+            .map(|i| (turns[i - 1].inverse() * turns[i]).scaled_axis())
+            .collect();
         let spins = slopes(&times, &steps);
         let points = poses.iter().map(|p| p.translation).collect();
-        Self { centres: Spline::new(times, points), poses, turns, spins }
+        Self {
+            centres: Spline::new(times, points),
+            poses,
+            turns,
+            spins,
+        }
     }
 
     /// The pose at a time: exactly that of a node at its time, the nearest node's outside.
@@ -73,7 +88,10 @@ impl PoseSpline {
         // De Casteljau's construction.
         let (ab, bc, cd) = (arc(&a, &b, u), arc(&b, &c, u), arc(&c, &d, u));
         let turn = arc(&arc(&ab, &bc, u), &arc(&bc, &cd, u), u);
-        Se3 { rotation: turn.to_rotation_matrix().into_inner(), translation: self.centres.at(time) }
+        Se3 {
+            rotation: turn.to_rotation_matrix().into_inner(),
+            translation: self.centres.at(time),
+        }
     }
 }
 
@@ -112,7 +130,9 @@ fn slopes<const N: usize>(times: &[f64], steps: &[SVector<f64, N>]) -> Vec<SVect
             (None, true) => slope(0),
             (Some(before), false) => slope(before),
             // The shorter gap tells more.
-            (Some(before), true) => (slope(before) * gap(i) + slope(i) * gap(before)) / (gap(before) + gap(i)),
+            (Some(before), true) => {
+                (slope(before) * gap(i) + slope(i) * gap(before)) / (gap(before) + gap(i))
+            }
         })
         .collect()
 }
@@ -133,7 +153,10 @@ mod tests {
         for t in [1.0, 1.2, 1.5, 2.7, 3.9] {
             assert!((spline.at(t) - square(t)).norm() < 1e-12, "{t}");
         }
-        assert_eq!((spline.at(-1.0), spline.at(9.0)), (square(0.0), square(5.0)));
+        assert_eq!(
+            (spline.at(-1.0), spline.at(9.0)),
+            (square(0.0), square(5.0))
+        );
         let one = Spline::new(vec![2.0], vec![square(2.0)]);
         assert_eq!(one.at(7.0), square(2.0));
     }
@@ -141,12 +164,18 @@ mod tests {
     #[test]
     fn a_steady_turn_stays_steady() {
         let axis = Vector3::new(0.2, -0.9, 0.4);
-        let pose = |t: f64| Se3 { rotation: exp_so3(&(axis * t)), translation: Vector3::new(t, 2.0 * t, 1.0) };
+        let pose = |t: f64| Se3 {
+            rotation: exp_so3(&(axis * t)),
+            translation: Vector3::new(t, 2.0 * t, 1.0),
+        };
         let times = vec![0.0, 0.7, 1.0, 2.2];
         let spline = PoseSpline::new(times.clone(), times.iter().map(|t| pose(*t)).collect());
         for i in 0..=44 {
             let t = f64::from(i) * 0.05;
-            assert!((spline.at(t).matrix() - pose(t).matrix()).norm() < 1e-9, "{t}");
+            assert!(
+                (spline.at(t).matrix() - pose(t).matrix()).norm() < 1e-9,
+                "{t}"
+            );
         }
     }
 
@@ -168,7 +197,9 @@ mod tests {
             assert!((a.matrix() - pose.matrix()).norm() < 1e-3);
             if *t > 0.0 && *t < 3.5 {
                 let speed = |p: &Se3<f64>, q: &Se3<f64>| (q.translation - p.translation) / h;
-                let spin = |p: &Se3<f64>, q: &Se3<f64>| log_so3(&(p.rotation.transpose() * q.rotation)) / h;
+                let spin = |p: &Se3<f64>, q: &Se3<f64>| {
+                    log_so3(&(p.rotation.transpose() * q.rotation)) / h
+                };
                 assert!((speed(&a, pose) - speed(pose, &b)).norm() < 1e-3, "{t}");
                 assert!((spin(&a, pose) - spin(pose, &b)).norm() < 1e-3, "{t}");
             }

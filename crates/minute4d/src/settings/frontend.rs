@@ -7,7 +7,8 @@ use std::str::FromStr;
 /// A part of a front end, as `--frontend` names it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// Cameras, and the static part, by MegaSaM's tracking network; depth made consistent along flow.
+    /// Cameras, and the static part, by MegaSaM's tracking network; depth made consistent along
+    /// flow.
     Megasam,
     /// Flow by inverse search with variational refinement; needs nothing.
     Classical,
@@ -23,8 +24,14 @@ pub enum Part {
 
 impl Part {
     /// Every part.
-    pub const ALL: [Self; 6] =
-        [Self::Megasam, Self::Classical, Self::Raft, Self::Moge, Self::Unidepth, Self::DepthAnything];
+    pub const ALL: [Self; 6] = [
+        Self::Megasam,
+        Self::Classical,
+        Self::Raft,
+        Self::Moge,
+        Self::Unidepth,
+        Self::DepthAnything,
+    ];
 
     /// As options and records name it.
     pub fn name(self) -> &'static str {
@@ -51,9 +58,10 @@ impl Part {
 
 /// Parts of a front end, each with a task of its own; none for the choice of the program.
 ///
-/// Written `auto`, or the names of parts joined by `+`: `classical`, `raft`, `moge+raft`, `megasam`,
-/// `megasam+raft+depth-anything+unidepth`. What is not named is done without weights, except that `megasam` alone takes the best
-/// of flow and depth whose weights are here, and says which.
+/// Written `auto`, or the names of parts joined by `+`: `classical`, `raft`, `moge+raft`,
+/// `megasam`, `megasam+raft+depth-anything+unidepth`. What is not named is done without weights,
+/// except that `megasam` alone takes the best of flow and depth whose weights are here, and says
+/// which.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct Frontend {
@@ -72,7 +80,9 @@ impl Frontend {
         for (k, a) in parts.iter().enumerate() {
             if let Some(b) = parts[k + 1..].iter().find(|b| b.task() == a.task()) {
                 let (first, second, task) = (a.name(), b.name(), a.task());
-                return Err(UnknownFrontend(format!("`{first}` and `{second}` both give {task}; leave one out")));
+                return Err(UnknownFrontend(format!(
+                    "`{first}` and `{second}` both give {task}; leave one out"
+                )));
             }
         }
         Ok(Self { parts })
@@ -81,7 +91,9 @@ impl Frontend {
     /// The front end without networks.
     #[cfg(not(feature = "nets"))]
     pub(crate) fn classical() -> Self {
-        Self { parts: vec![Part::Classical] }
+        Self {
+            parts: vec![Part::Classical],
+        }
     }
 
     /// The parts, in order.
@@ -153,8 +165,17 @@ mod tests {
     fn words_are_front_ends() {
         let named = |text: &str| text.parse::<Frontend>();
         assert!(named("auto").unwrap().is_auto());
-        assert_eq!(named("raft+moge").unwrap(), Frontend::of(vec![Part::Moge, Part::Raft]).unwrap());
-        for text in ["auto", "classical", "raft+moge", "megasam", "megasam+raft+unidepth+depth-anything"] {
+        assert_eq!(
+            named("raft+moge").unwrap(),
+            Frontend::of(vec![Part::Moge, Part::Raft]).unwrap()
+        );
+        for text in [
+            "auto",
+            "classical",
+            "raft+moge",
+            "megasam",
+            "megasam+raft+unidepth+depth-anything",
+        ] {
             assert_eq!(named(text).unwrap().to_string(), text);
         }
         for wrong in ["", "megasan", "gmflow", "auto+moge", "moge+", "MOGE"] {

@@ -11,10 +11,12 @@ use m4_train::init::InitError;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
-/// Largest file of settings that is read, bytes: one with every key and comments has some kilobytes.
+/// Largest file of settings that is read, bytes: one with every key and comments has some
+/// kilobytes.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
-/// What files and `--set` say, later ones over earlier ones; [`Self::over`] lays it over built-in settings.
+/// What files and `--set` say, later ones over earlier ones; [`Self::over`] lays it over built-in
+/// settings.
 #[derive(Debug, Clone, Default)]
 pub struct Layers {
     named: Table,
@@ -27,8 +29,11 @@ impl Layers {
     ///
     /// [`SettingsError`] naming the file and the key at fault.
     pub fn file(self, path: &Path) -> Result<Self, SettingsError> {
-        let text = files::read_text(path, MAX_FILE_BYTES)
-            .map_err(|source| SettingsError::Read { path: path.to_path_buf(), source })?;
+        let text =
+            files::read_text(path, MAX_FILE_BYTES).map_err(|source| SettingsError::Read {
+                path: path.to_path_buf(),
+                source,
+            })?;
         let layer: Table = text.parse().map_err(|e: toml::de::Error| {
             let reason = shortened(e.to_string().trim_end());
             SettingsError::Invalid(format!("{} is not valid TOML: {reason}", path.display()))
@@ -36,7 +41,8 @@ impl Layers {
         self.lay(layer, &path.display().to_string())
     }
 
-    /// Lays one `key=value` over what is there. The value is read as TOML; what is not TOML is text.
+    /// Lays one `key=value` over what is there. The value is read as TOML; what is not TOML is
+    /// text.
     ///
     /// # Errors
     ///
@@ -57,8 +63,9 @@ impl Layers {
             .ok()
             .and_then(|mut table| table.remove("x"))
             .unwrap_or_else(|| Value::String(text.to_owned()));
-        let layer =
-            parts.iter().rev().fold(value, |inner, &part| Value::Table(Table::from_iter([(part.to_owned(), inner)])));
+        let layer = parts.iter().rev().fold(value, |inner, &part| {
+            Value::Table(Table::from_iter([(part.to_owned(), inner)]))
+        });
         match layer {
             Value::Table(layer) => self.lay(layer, given),
             _ => Err(form()),
@@ -86,7 +93,8 @@ impl Layers {
         read(&self.table_over(base)?, "the settings")
     }
 
-    /// The built-in settings of the profile that a layer names, else of the default one, with every layer over them.
+    /// The built-in settings of the profile that a layer names, else of the default one, with every
+    /// layer over them.
     ///
     /// # Errors
     ///
@@ -99,7 +107,9 @@ impl Layers {
     pub fn named(&self, key: &str) -> bool {
         let mut parts = key.split('.');
         let first = parts.next().and_then(|part| self.named.get(part));
-        parts.fold(first, |at, part| at.and_then(|value| value.get(part))).is_some()
+        parts
+            .fold(first, |at, part| at.and_then(|value| value.get(part)))
+            .is_some()
     }
 
     fn lay(mut self, layer: Table, name: &str) -> Result<Self, SettingsError> {
@@ -116,7 +126,8 @@ impl Layers {
     }
 }
 
-/// The settings in `table`, whose last layer is called `layer`. The seed of the training is that of geometry, too.
+/// The settings in `table`, whose last layer is called `layer`. The seed of the training is that of
+/// geometry, too.
 fn read(table: &Table, layer: &str) -> Result<Settings, SettingsError> {
     let mut settings: Settings = serde_path_to_error::deserialize(table.clone())
         .map_err(|e| explain(&e.path().to_string(), e.inner().message(), table, layer))?;
@@ -127,7 +138,9 @@ fn read(table: &Table, layer: &str) -> Result<Settings, SettingsError> {
 
 /// The settings as a table.
 pub(super) fn table(settings: &Settings) -> Result<Table, SettingsError> {
-    Table::try_from(settings).map_err(|e| SettingsError::Internal { reason: e.to_string() })
+    Table::try_from(settings).map_err(|e| SettingsError::Internal {
+        reason: e.to_string(),
+    })
 }
 
 /// Refuses numbers out of their range; `layer` says where they come from.
@@ -135,7 +148,9 @@ pub(super) fn in_range(settings: &Table, layer: &str) -> Result<(), SettingsErro
     let Some((key, value, range)) = out_of_range(settings) else {
         return Ok(());
     };
-    Err(SettingsError::Invalid(format!("{layer}: {key} = {value} is out of range: it must be {range}")))
+    Err(SettingsError::Invalid(format!(
+        "{layer}: {key} = {value} is out of range: it must be {range}"
+    )))
 }
 
 /// Tables are merged key by key; everything else is replaced.
@@ -158,15 +173,28 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
         let known: Vec<String> = quoted.collect();
         let parent = path.rsplit_once('.').map_or("", |(parent, _)| parent);
         let dotted = |key: &str| {
-            if parent.is_empty() { key.to_owned() } else { format!("{parent}.{key}") }
+            if parent.is_empty() {
+                key.to_owned()
+            } else {
+                format!("{parent}.{key}")
+            }
         };
-        let suggestion =
-            nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table)).filter(|other| *other != dotted(&key));
-        return SettingsError::UnknownKey { layer: layer.to_owned(), key: dotted(&key), suggestion, known };
+        let suggestion = nearest(&key, &known)
+            .map(dotted)
+            .or_else(|| elsewhere(&key, table))
+            .filter(|other| *other != dotted(&key));
+        return SettingsError::UnknownKey {
+            layer: layer.to_owned(),
+            key: dotted(&key),
+            suggestion,
+            known,
+        };
     }
     let value = path
         .split('.')
-        .try_fold(Value::Table(table.clone()), |value, part| value.get(part).cloned())
+        .try_fold(Value::Table(table.clone()), |value, part| {
+            value.get(part).cloned()
+        })
         .map_or_else(String::new, |value| value.to_string());
     let (key, value, reason) = (shortened(path), shortened(&value), shortened(message));
     SettingsError::Invalid(format!("{layer}: {key} = {value} does not work: {reason}"))
@@ -183,18 +211,25 @@ fn nearest<'a>(key: &str, known: &'a [String]) -> Option<&'a str> {
         .map(|(_, word)| word)
 }
 
-/// A setting of that name in another table, the least deep one: `--set iterations=10` meant `train.iterations`.
+/// A setting of that name in another table, the least deep one: `--set iterations=10` meant
+/// `train.iterations`.
 fn elsewhere(key: &str, table: &Table) -> Option<String> {
     let mut level: Vec<(String, &Table)> = vec![(String::new(), table)];
     while !level.is_empty() {
         let inner = level.iter().flat_map(|(path, table)| {
             table.iter().filter_map(move |(name, value)| {
-                let path = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+                let path = if path.is_empty() {
+                    name.clone()
+                } else {
+                    format!("{path}.{name}")
+                };
                 Some((path, value.as_table()?))
             })
         });
         level = inner.collect();
-        let found = level.iter().find(|(_, table)| table.get(key).is_some_and(|v| !v.is_table()));
+        let found = level
+            .iter()
+            .find(|(_, table)| table.get(key).is_some_and(|v| !v.is_table()));
         if let Some((path, _)) = found {
             return Some(format!("{path}.{key}"));
         }
@@ -226,7 +261,8 @@ pub enum SettingsError {
         /// The keys known at that place.
         known: Vec<String>,
     },
-    /// A file that is not TOML, a malformed `--set`, a value of the wrong type or out of range, or two profiles.
+    /// A file that is not TOML, a malformed `--set`, a value of the wrong type or out of range, or
+    /// two profiles.
     #[error("{0}")]
     Invalid(String),
     /// Settings of the first splats that do not go together.
@@ -244,7 +280,9 @@ pub enum SettingsError {
 }
 
 fn suggest(nearest: &Option<String>) -> String {
-    nearest.as_ref().map_or_else(String::new, |key| format!("; did you mean {key:?}?"))
+    nearest
+        .as_ref()
+        .map_or_else(String::new, |key| format!("; did you mean {key:?}?"))
 }
 
 #[cfg(test)]
@@ -264,7 +302,11 @@ mod tests {
     #[test]
     fn later_layers_win_and_leave_the_rest() {
         let file = std::env::temp_dir().join(format!("minute4d-layers-{}", std::process::id()));
-        std::fs::write(&file, "train.seed = 3\n[train.density]\nevery = 0.5\nerror_threshold = 1").unwrap();
+        std::fs::write(
+            &file,
+            "train.seed = 3\n[train.density]\nevery = 0.5\nerror_threshold = 1",
+        )
+        .unwrap();
         let layers = Layers::default()
             .file(&file)
             .and_then(|layers| layers.set("train.density.every=0.25"))
@@ -277,33 +319,61 @@ mod tests {
         want.video.ffmpeg = PathBuf::from("a b");
         let layers = layers.unwrap();
         assert_eq!(layers.finish().unwrap(), want);
-        assert!(layers.named("train.density.every") && layers.named("train.density") && !layers.named("train.batch"));
+        assert!(
+            layers.named("train.density.every")
+                && layers.named("train.density")
+                && !layers.named("train.batch")
+        );
     }
 
     #[test]
     fn a_profile_is_the_first_layer_wherever_it_is_named() {
-        let layers = set("train.seed=3").unwrap().set("profile=faithful").unwrap();
+        let layers = set("train.seed=3")
+            .unwrap()
+            .set("profile=faithful")
+            .unwrap();
         let mut want = Settings::faithful();
         want.set_seed(3);
         assert_eq!(layers.profile(), Some(Profile::Faithful));
         assert_eq!(layers.finish().unwrap(), want);
         let text = layers.over(&Settings::fast()).unwrap_err().to_string();
-        assert!(text.contains("\"faithful\"") && text.contains("\"fast\""), "{text}");
+        assert!(
+            text.contains("\"faithful\"") && text.contains("\"fast\""),
+            "{text}"
+        );
         let text = refusal("profile=best");
-        assert!(text.contains("profile = \"best\"") && text.contains("`faithful`"), "{text}");
+        assert!(
+            text.contains("profile = \"best\"") && text.contains("`faithful`"),
+            "{text}"
+        );
     }
 
     #[test]
     fn an_unknown_key_names_the_nearest() {
         let text = refusal("train.density.evry=2");
-        assert!(text.contains("there is no setting \"train.density.evry\""), "{text}");
-        assert!(text.contains("did you mean \"train.density.every\"?"), "{text}");
+        assert!(
+            text.contains("there is no setting \"train.density.evry\""),
+            "{text}"
+        );
+        assert!(
+            text.contains("did you mean \"train.density.every\"?"),
+            "{text}"
+        );
         let text = refusal("error_threshold=2");
-        assert!(text.contains("did you mean \"train.density.error_threshold\"?"), "{text}");
+        assert!(
+            text.contains("did you mean \"train.density.error_threshold\"?"),
+            "{text}"
+        );
         assert!(refusal("iterations=7").contains("did you mean \"train.iterations\"?"));
         let text = refusal("train.density.until=2");
-        assert!(text.contains("there is no setting") && !text.contains("did you mean"), "{text}");
+        assert!(
+            text.contains("there is no setting") && !text.contains("did you mean"),
+            "{text}"
+        );
         let text = refusal("zzz=2");
-        assert!(!text.contains("did you mean") && text.contains("profile, video, capture"), "{text}");
+        assert!(
+            !text.contains("did you mean") && text.contains("profile, video, capture"),
+            "{text}"
+        );
     }
 }

@@ -14,7 +14,8 @@ pub use geometry::{EnhanceConfig, GeometryOptions, Segmenter, Tapip3dConfig, Tra
 pub use layers::{Layers, SettingsError};
 pub use output::{CheckpointConfig, LimitConfig, PreviewConfig, ViewerConfig};
 pub use train::{
-    ColourFitSettings, DensityRule, DensitySettings, InitSettings, LossSettings, RefinementSettings, TrainSettings,
+    ColourFitSettings, DensityRule, DensitySettings, InitSettings, LossSettings,
+    RefinementSettings, TrainSettings,
 };
 
 use m4_geometry::classical::dense::DenseConfig;
@@ -26,8 +27,8 @@ use m4_train::TrainConfig;
 use m4_train::init::InitConfig;
 use serde::{Deserialize, Serialize};
 
-/// The built-in settings that a run starts from. It also decides everything about the first splats and the training that has no
-/// key of its own.
+/// The built-in settings that a run starts from. It also decides everything about the first splats
+/// and the training that has no key of its own.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Profile {
@@ -93,7 +94,8 @@ impl Preset {
 pub enum Enhancement {
     /// Masks by a segmentation network.
     Segmentation,
-    /// Points followed through the clip: parts that a frame hides are filled from others, and first velocities.
+    /// Points followed through the clip: parts that a frame hides are filled from others, and first
+    /// velocities.
     Tracking,
     /// Density control: splats added and pruned.
     Density,
@@ -101,11 +103,13 @@ pub enum Enhancement {
     LossGuided,
 }
 
-/// Every setting of every stage; what `--print-config` shows and `--set` changes. `docs/settings.md` lists the keys.
+/// Every setting of every stage; what `--print-config` shows and `--set` changes.
+/// `docs/settings.md` lists the keys.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// The built-in settings that the others start from; it decides everything that has no key. Set it with [`Self::of`], not alone.
+    /// The built-in settings that the others start from; it decides everything that has no key. Set
+    /// it with [`Self::of`], not alone.
     pub profile: Profile,
     /// Which part of a video is read.
     pub video: VideoOptions,
@@ -235,16 +239,25 @@ pub fn by_name<T: Copy>(
     all: &[T],
     name: impl Fn(T) -> &'static str,
 ) -> Result<T, UnknownName> {
-    all.iter().copied().find(|&value| name(value) == word).ok_or_else(|| {
-        let names: Vec<&str> = all.iter().map(|&value| name(value)).collect();
-        let (last, first) = names.split_last().unwrap_or((&"", &[]));
-        UnknownName { what, word: word.to_owned(), known: format!("{} and {last}", first.join(", ")) }
-    })
+    all.iter()
+        .copied()
+        .find(|&value| name(value) == word)
+        .ok_or_else(|| {
+            let names: Vec<&str> = all.iter().map(|&value| name(value)).collect();
+            let (last, first) = names.split_last().unwrap_or((&"", &[]));
+            UnknownName {
+                what,
+                word: word.to_owned(),
+                known: format!("{} and {last}", first.join(", ")),
+            }
+        })
 }
 
 /// Some settings as TOML: what keys of stages are made of.
 pub fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsError> {
-    toml::to_string_pretty(part).map_err(|e| SettingsError::Internal { reason: e.to_string() })
+    toml::to_string_pretty(part).map_err(|e| SettingsError::Internal {
+        reason: e.to_string(),
+    })
 }
 
 #[cfg(test)]
@@ -266,13 +279,25 @@ mod tests {
     fn profiles_set_stage_settings() {
         assert_eq!(Settings::default(), Settings::fast());
         let given = |settings: Settings| (settings.init_config(), settings.train_config());
-        assert_eq!(given(Settings::fast()), (InitConfig::fast(), TrainConfig::fast()));
-        assert_eq!(given(Settings::faithful()), (InitConfig::faithful(), TrainConfig::faithful()));
+        assert_eq!(
+            given(Settings::fast()),
+            (InitConfig::fast(), TrainConfig::fast())
+        );
+        assert_eq!(
+            given(Settings::faithful()),
+            (InitConfig::faithful(), TrainConfig::faithful())
+        );
         Settings::fast().check().unwrap();
         Settings::faithful().check().unwrap();
         let mut endless = Settings::fast();
         endless.train.budget_s = f64::NAN;
-        assert!(endless.check().unwrap_err().to_string().contains("train.budget_s = NaN"));
+        assert!(
+            endless
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("train.budget_s = NaN")
+        );
     }
 
     /// Every key of `table`, and a value that is another one.
@@ -284,7 +309,9 @@ mod tests {
                 Value::Integer(n) => vec![(key, Value::Integer(n + 1))],
                 Value::Float(x) => vec![(key, Value::Float(0.5 * x + 0.001))],
                 Value::Boolean(b) => vec![(key, Value::Boolean(!b))],
-                Value::Array(values) => vec![(key, Value::Array(vec![Value::Float(0.5); values.len()]))],
+                Value::Array(values) => {
+                    vec![(key, Value::Array(vec![Value::Float(0.5); values.len()]))]
+                }
                 Value::String(_) => vec![(key, Value::String("literal".to_owned()))],
                 other => panic!("{key} = {other} has no other value here"),
             }
@@ -301,8 +328,8 @@ mod tests {
                 for (key, value) in changes(section, table[section].as_table().unwrap()) {
                     let layers = Layers::default().set(&format!("{key}={value}")).unwrap();
                     let changed = layers.over(&base).unwrap();
-                    let same =
-                        (changed.init_config(), changed.train_config()) == (base.init_config(), base.train_config());
+                    let same = (changed.init_config(), changed.train_config())
+                        == (base.init_config(), base.train_config());
                     assert_eq!(same, key == "train.budget_s", "{key} of {profile:?}");
                 }
             }
@@ -326,7 +353,12 @@ mod tests {
 
     #[test]
     fn each_part_changes_settings_of_its_own() {
-        let parts = [Enhancement::Segmentation, Enhancement::Tracking, Enhancement::Density, Enhancement::LossGuided];
+        let parts = [
+            Enhancement::Segmentation,
+            Enhancement::Tracking,
+            Enhancement::Density,
+            Enhancement::LossGuided,
+        ];
         let full = Settings::faithful();
         let without = |part| {
             let mut settings = full.clone();
@@ -337,8 +369,14 @@ mod tests {
             assert_ne!(without(part), full, "{part:?}");
         }
         let density = without(Enhancement::Density);
-        assert_eq!((density.geometry, density.init), (full.geometry.clone(), full.init.clone()));
+        assert_eq!(
+            (density.geometry, density.init),
+            (full.geometry.clone(), full.init.clone())
+        );
         let tracking = without(Enhancement::Tracking);
-        assert_eq!((tracking.train, tracking.geometry.segmenter), (full.train, full.geometry.segmenter));
+        assert_eq!(
+            (tracking.train, tracking.geometry.segmenter),
+            (full.train, full.geometry.segmenter)
+        );
     }
 }

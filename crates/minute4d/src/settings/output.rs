@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LimitConfig {
-    /// Seconds from start to end; 0 for as long as it takes. Training is planned to end in time, and ended where it would
-    /// not. Geometry that takes longer is saved and resumes with the next attempt.
+    /// Seconds from start to end; 0 for as long as it takes. Training is planned to end in time,
+    /// and ended where it would not. Geometry that takes longer is saved and resumes with the next
+    /// attempt.
     pub time_s: f64,
 }
 
@@ -23,7 +24,10 @@ pub struct CheckpointConfig {
 
 impl Default for CheckpointConfig {
     fn default() -> Self {
-        Self { every_s: 30.0, keep: 2 }
+        Self {
+            every_s: 30.0,
+            keep: 2,
+        }
     }
 }
 

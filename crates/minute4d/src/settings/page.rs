@@ -1,5 +1,6 @@
-//! `docs/settings.md` has a row for every key: its words are written by hand, its ranges and defaults by `cargo xtask settings`. The tests here fail
-//! where a key has no row, a row no key, or a range or a default is not that of the code.
+//! `docs/settings.md` has a row for every key: its words are written by hand, its ranges and
+//! defaults by `cargo xtask settings`. The tests here fail where a key has no row, a row no key, or
+//! a range or a default is not that of the code.
 
 use super::ranges::{get, range_of};
 use super::{Layers, Settings, SettingsError};
@@ -23,13 +24,17 @@ fn toml(settings: &Settings) -> Table {
 
 /// The key of a row such as "| `video.size` | px | `640` | What it does. |".
 fn key(line: &str) -> Option<&str> {
-    line.strip_prefix("| `")?.split_once("` |").map(|(key, _)| key)
+    line.strip_prefix("| `")?
+        .split_once("` |")
+        .map(|(key, _)| key)
 }
 
 /// The page with the ranges and defaults of the code.
 fn page(written: &str) -> String {
     let (fast, faithful) = (toml(&Settings::fast()), toml(&Settings::faithful()));
-    let shown = |table: &Table, key: &str| get(table, key).map_or("not set".to_owned(), |v| format!("`{v}`"));
+    let shown = |table: &Table, key: &str| {
+        get(table, key).map_or("not set".to_owned(), |v| format!("`{v}`"))
+    };
     let line = |line: &str| {
         let Some(key) = key(line) else {
             return format!("{line}\n");
@@ -49,8 +54,8 @@ fn page(written: &str) -> String {
     written.lines().map(line).collect()
 }
 
-/// Every key that files and `--set` may name, those without a default included: a key that does not exist is refused with those
-/// that do.
+/// Every key that files and `--set` may name, those without a default included: a key that does not
+/// exist is refused with those that do.
 fn keys(path: &str, table: &Table) -> Vec<String> {
     let under = |name: &str| match path {
         "" => name.to_owned(),
@@ -80,7 +85,11 @@ fn every_key_has_a_row_and_every_row_a_key() {
         "without a row in docs/settings.md: {undocumented:?}; rows without a key: {gone:?}"
     );
     assert_eq!(listed.len(), rows.len(), "a key has two rows");
-    assert!(keys.len() <= MOST_KEYS, "{} keys; {MOST_KEYS} are allowed", keys.len());
+    assert!(
+        keys.len() <= MOST_KEYS,
+        "{} keys; {MOST_KEYS} are allowed",
+        keys.len()
+    );
 }
 
 #[test]
@@ -91,5 +100,8 @@ fn the_page_has_the_defaults_of_the_code() {
         std::fs::write(path(), page).unwrap();
         return;
     }
-    assert!(written == page, "docs/settings.md has other ranges or defaults than the code; run `cargo xtask settings`");
+    assert!(
+        written == page,
+        "docs/settings.md has other ranges or defaults than the code; run `cargo xtask settings`"
+    );
 }

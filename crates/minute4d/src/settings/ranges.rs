@@ -1,5 +1,6 @@
-//! The ranges of numeric settings. They are wide: what they keep out are numbers that a file, a counter or a step cannot hold, and steps
-//! that take so long that a stop is heard late. Stages check closer what only they can know.
+//! The ranges of numeric settings. They are wide: what they keep out are numbers that a file, a
+//! counter or a step cannot hold, and steps that take so long that a stop is heard late. Stages
+//! check closer what only they can know.
 
 use toml::{Table, Value};
 
@@ -77,7 +78,8 @@ pub(super) const RANGES: [Range; 53] = [
     ("preview.panel_px", 16.0, 4096.0),
 ];
 
-/// Returns the first number of `settings` that is out of its range: its key, its value and the range.
+/// Returns the first number of `settings` that is out of its range: its key, its value and the
+/// range.
 pub(super) fn out_of_range(settings: &Table) -> Option<(&'static str, String, String)> {
     RANGES.iter().find_map(|&(key, least, most)| {
         let mut values = numbers(get(settings, key)?).into_iter();
@@ -89,7 +91,10 @@ pub(super) fn out_of_range(settings: &Table) -> Option<(&'static str, String, St
 /// The range of a key as text, if it has one.
 #[cfg(test)]
 pub(super) fn range_of(key: &str) -> Option<String> {
-    RANGES.iter().find(|(name, ..)| *name == key).map(|&(_, least, most)| shown(least, most))
+    RANGES
+        .iter()
+        .find(|(name, ..)| *name == key)
+        .map(|&(_, least, most)| shown(least, most))
 }
 
 fn shown(least: f64, most: f64) -> String {
@@ -126,7 +131,11 @@ mod tests {
 
     fn numeric_keys(path: &str, table: &Table, keys: &mut Vec<String>) {
         for (name, value) in table {
-            let key = if path.is_empty() { name.clone() } else { format!("{path}.{name}") };
+            let key = if path.is_empty() {
+                name.clone()
+            } else {
+                format!("{path}.{name}")
+            };
             match value {
                 Value::Table(inner) => numeric_keys(&key, inner, keys),
                 value if !numbers(value).is_empty() => keys.push(key),
@@ -143,7 +152,10 @@ mod tests {
             let mut keys = Vec::new();
             numeric_keys("", &table, &mut keys);
             for key in keys {
-                assert!(RANGES.iter().any(|(name, ..)| *name == key), "{key} has no range");
+                assert!(
+                    RANGES.iter().any(|(name, ..)| *name == key),
+                    "{key} has no range"
+                );
             }
         }
     }
@@ -168,13 +180,22 @@ mod tests {
                 assert!(message.contains(key), "{given}: {message}");
             }
         }
-        let message = Layers::default().set("train.iterations=5000000000").unwrap_err().to_string();
+        let message = Layers::default()
+            .set("train.iterations=5000000000")
+            .unwrap_err()
+            .to_string();
         assert_eq!(
             message,
             "train.iterations=5000000000: train.iterations = 5000000000 is out of range: it must be 1 to 10000000"
         );
         let mut settings = Settings::fast();
         settings.train.batch = 100_000;
-        assert!(settings.check().unwrap_err().to_string().contains("train.batch = 100000"));
+        assert!(
+            settings
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("train.batch = 100000")
+        );
     }
 }

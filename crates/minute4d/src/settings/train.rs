@@ -13,8 +13,9 @@ pub struct TrainSettings {
     pub iterations: usize,
     /// As [`TrainConfig::batch`].
     pub batch: usize,
-    /// Seconds that training may take, 0 for as many as `iterations` need: the first splats, then iterations, for at least half of
-    /// it. Where it is above 0, `iterations` is replaced by what [`m4_train::affordable_iterations`] finds.
+    /// Seconds that training may take, 0 for as many as `iterations` need: the first splats, then
+    /// iterations, for at least half of it. Where it is above 0, `iterations` is replaced by what
+    /// [`m4_train::affordable_iterations`] finds.
     pub budget_s: f64,
     /// Key of every random draw, those of geometry included ([`super::Settings::set_seed`]).
     pub seed: u64,
@@ -66,9 +67,11 @@ pub struct LossSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DensityRule {
-    /// The errors of frames, as the profile reads the paper (`docs/decisions/0003-density-control.md`).
+    /// The errors of frames, as the profile reads the paper
+    /// (`docs/decisions/0003-density-control.md`).
     LossGuided,
-    /// The errors of frames, by the paper's letter ([`DensityConfig::literal`]), which ends in fewer and worse splats; for comparison.
+    /// The errors of frames, by the paper's letter ([`DensityConfig::literal`]), which ends in
+    /// fewer and worse splats; for comparison.
     Literal,
     /// Gradients in the image, as in 3DGS ([`DensityConfig::by_gradient`]); for comparison.
     Gradient,
@@ -124,9 +127,16 @@ impl TrainSettings {
             background: config.background,
             metrics_every: config.metrics_every,
             target_cache_mb: config.target_cache_mb,
-            colour_degree: ColourDegreeSettings { space: config.colour_degree.space, time: config.colour_degree.time },
-            colour_fit: ColourFitSettings { rounds: config.colour_fit_rounds },
-            loss: LossSettings { lambda_ssim: config.lambda_ssim },
+            colour_degree: ColourDegreeSettings {
+                space: config.colour_degree.space,
+                time: config.colour_degree.time,
+            },
+            colour_fit: ColourFitSettings {
+                rounds: config.colour_fit_rounds,
+            },
+            loss: LossSettings {
+                lambda_ssim: config.lambda_ssim,
+            },
             density: DensitySettings {
                 enabled: density.enabled,
                 rule: DensityRule::LossGuided,
@@ -138,7 +148,11 @@ impl TrainSettings {
                 every: density.every,
                 prune_every: density.prune_every,
             },
-            refine: RefinementSettings { poses: refine.poses, focal: refine.focal, exposure: refine.exposure },
+            refine: RefinementSettings {
+                poses: refine.poses,
+                focal: refine.focal,
+                exposure: refine.exposure,
+            },
         }
     }
 
@@ -154,18 +168,27 @@ impl TrainSettings {
             background: self.background,
             metrics_every: self.metrics_every,
             target_cache_mb: self.target_cache_mb,
-            colour_degree: ColourDegree { space: self.colour_degree.space, time: self.colour_degree.time },
+            colour_degree: ColourDegree {
+                space: self.colour_degree.space,
+                time: self.colour_degree.time,
+            },
             colour_fit_rounds: self.colour_fit.rounds,
             lambda_ssim: self.loss.lambda_ssim,
             density: density.config(base.density),
-            refine: RefineConfig { poses: refine.poses, focal: refine.focal, exposure: refine.exposure, ..base.refine },
+            refine: RefineConfig {
+                poses: refine.poses,
+                focal: refine.focal,
+                exposure: refine.exposure,
+                ..base.refine
+            },
             ..base
         }
     }
 }
 
 impl DensitySettings {
-    /// What the trainer is given: of the rules for comparison, settings that they do not know stay as they have them.
+    /// What the trainer is given: of the rules for comparison, settings that they do not know stay
+    /// as they have them.
     fn config(&self, of_profile: DensityConfig) -> DensityConfig {
         let scored = |base| DensityConfig {
             frames: self.frames,
@@ -179,7 +202,13 @@ impl DensitySettings {
             DensityRule::Literal => (scored(DensityConfig::literal()), self.every),
             DensityRule::Gradient => (DensityConfig::by_gradient(), self.every),
         };
-        DensityConfig { enabled: self.enabled, from: self.from, every: self.every, prune_every, ..rule }
+        DensityConfig {
+            enabled: self.enabled,
+            from: self.from,
+            every: self.every,
+            prune_every,
+            ..rule
+        }
     }
 }
 
@@ -193,11 +222,11 @@ pub struct InitSettings {
     pub max_dynamic: usize,
     /// As [`InitConfig::voxel_px`].
     pub voxel_px: Option<f32>,
-    /// Standard deviation in time of dynamic splats, gaps between keyframes ([`TimeSpread::KeyframeGaps`]); `None`: that of the
-    /// reference.
+    /// Standard deviation in time of dynamic splats, gaps between keyframes
+    /// ([`TimeSpread::KeyframeGaps`]); `None`: that of the reference.
     pub keyframe_gaps: Option<f32>,
-    /// Points are added where the tracks of the capture, or the motion of the frames' own points, place what a frame cannot see,
-    /// and tracks give first velocities.
+    /// Points are added where the tracks of the capture, or the motion of the frames' own points,
+    /// place what a frame cannot see, and tracks give first velocities.
     pub tracks: bool,
 }
 
@@ -221,8 +250,14 @@ impl InitSettings {
     /// What the stage is given.
     #[must_use]
     pub fn config(&self, profile: Profile) -> InitConfig {
-        let (max_static, max_dynamic, voxel_px) = (self.max_static, self.max_dynamic, self.voxel_px);
-        let mut config = InitConfig { max_static, max_dynamic, voxel_px, ..profile.init() };
+        let (max_static, max_dynamic, voxel_px) =
+            (self.max_static, self.max_dynamic, self.voxel_px);
+        let mut config = InitConfig {
+            max_static,
+            max_dynamic,
+            voxel_px,
+            ..profile.init()
+        };
         if let Some(factor) = self.keyframe_gaps {
             config.time_spread = TimeSpread::KeyframeGaps { factor };
         }

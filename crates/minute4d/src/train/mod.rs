@@ -8,7 +8,9 @@ use crate::{Error, Observer, Settings, StageEvent};
 use m4_core::{Capture, Progress, Scene, SplatLayout};
 use m4_kernels::SimdLevel;
 use m4_train::init::{FirstSplats, InitError};
-use m4_train::{BackendError, BackendMaker, MetricsEvent, Outcome, TrainConfig, TrainError, Trainer};
+use m4_train::{
+    BackendError, BackendMaker, MetricsEvent, Outcome, TrainConfig, TrainError, Trainer,
+};
 use std::thread::ScopedJoinHandle;
 use std::time::Instant;
 use timer::CheckpointTimer;
@@ -23,7 +25,8 @@ pub struct Training<'a> {
     pub settings: &'a Settings,
     /// Vector instructions.
     pub level: SimdLevel,
-    /// The GPU to train on; `None` for the CPU. `None`, too, after a GPU that nobody asked for has failed.
+    /// The GPU to train on; `None` for the CPU. `None`, too, after a GPU that nobody asked for has
+    /// failed.
     pub gpu: Option<OpenGpu>,
     /// Most memory on the GPU, megabytes.
     pub max_vram_mb: Option<usize>,
@@ -142,7 +145,9 @@ pub fn compute(
                 let stopped = || observer.cancelled();
                 let fitting = |trial| {
                     let splats = &first.splats;
-                    m4_train::affordable_iterations(capture, splats, &config, level, trial, seconds, &stopped)
+                    m4_train::affordable_iterations(
+                        capture, splats, &config, level, trial, seconds, &stopped,
+                    )
                 };
                 let n = match fitting(training.gpu.as_ref().map(|_| &make as BackendMaker<'_>)) {
                     Err(error) if may_leave_gpu(training, &error) => {
@@ -156,13 +161,16 @@ pub fn compute(
                 check_stop(observer, STAGE, true)?;
                 if budget_s > 0.0 || n < config.iterations {
                     config.iterations = n;
-                    let note =
-                        format!("{n} iterations fit into {:.0} s here; to ask for {n} repeats this run", seconds());
+                    let note = format!(
+                        "{n} iterations fit into {:.0} s here; to ask for {n} repeats this run",
+                        seconds()
+                    );
                     observer.update(STAGE, 0, n, &note);
                 }
             }
             let mut trainer = Trainer::new(capture, first, config, level)?;
-            // The number of iterations may have been measured: a run resumed after a kill uses the same.
+            // The number of iterations may have been measured: a run resumed after a kill uses the
+            // same.
             store.save(&mut trainer)?;
             trainer
         }
@@ -178,7 +186,8 @@ pub fn compute(
             store.event(event);
             observer.metrics(event, total);
         };
-        // After the last step comes the fit of colours, which starts anew when it is interrupted: only the user stops it.
+        // After the last step comes the fit of colours, which starts anew when it is interrupted:
+        // only the user stops it.
         let steps_are_done = trainer.iteration() == total;
         let progress: &dyn Progress = if steps_are_done { observer } else { &timer };
         let outcome = match trainer.run(progress, &mut note) {
@@ -189,7 +198,8 @@ pub fn compute(
                 continue;
             }
             Err(error @ (TrainError::Diverged { .. } | TrainError::Device { .. })) => {
-                // The trainer is back in its last good state: worth keeping, not worth going on with.
+                // The trainer is back in its last good state: worth keeping, not worth going on
+                // with.
                 store.save(&mut trainer)?;
                 return Err(error.into());
             }
@@ -203,14 +213,19 @@ pub fn compute(
             observer.scene(&mut || trainer.scene(), depth);
         }
         if !timer.stopped_by_user() && end.is_some_and(|end| Instant::now() >= end) {
-            observer
-                .warn(&format!("the time limit ended training after {} of {total} iterations", trainer.iteration()));
+            observer.warn(&format!(
+                "the time limit ended training after {} of {total} iterations",
+                trainer.iteration()
+            ));
             break;
         }
         if timer.stopped_by_user() || timer.is_over() {
             store.save(&mut trainer)?;
             if timer.stopped_by_user() {
-                return Err(Error::Stopped { stage: STAGE, saved: true });
+                return Err(Error::Stopped {
+                    stage: STAGE,
+                    saved: true,
+                });
             }
             timer = CheckpointTimer::new(observer, every_s).at_most(end);
         }
@@ -221,13 +236,26 @@ pub fn compute(
 }
 
 /// Makes the first splats, while a GPU compiles the kernels of the training that follows.
-fn first_splats(training: &Training<'_>, capture: &Capture, observer: &dyn Observer) -> Result<FirstSplats, InitError> {
-    let (init, config) = (training.settings.init_config(), training.settings.train_config());
-    let layout = SplatLayout { isotropic: init.isotropic, sh_degree: 0, time_degree: 0 };
+fn first_splats(
+    training: &Training<'_>,
+    capture: &Capture,
+    observer: &dyn Observer,
+) -> Result<FirstSplats, InitError> {
+    let (init, config) = (
+        training.settings.init_config(),
+        training.settings.train_config(),
+    );
+    let layout = SplatLayout {
+        isotropic: init.isotropic,
+        sh_degree: 0,
+        time_degree: 0,
+    };
     let max_vram_mb = training.max_vram_mb;
     std::thread::scope(|scope| {
-        let warm_up =
-            training.gpu.as_ref().map(|gpu| scope.spawn(move || gpu.warm_up(capture, layout, &config, max_vram_mb)));
+        let warm_up = training
+            .gpu
+            .as_ref()
+            .map(|gpu| scope.spawn(move || gpu.warm_up(capture, layout, &config, max_vram_mb)));
         let first = m4_train::init::initialise(capture, &init, observer);
         // nor does a driver that panics there end the run here
         drop(warm_up.map(ScopedJoinHandle::join));
@@ -242,16 +270,29 @@ fn may_leave_gpu(training: &Training<'_>, error: &TrainError) -> bool {
 }
 
 /// Trains on the CPU from here on.
-fn leave_gpu(training: &mut Training<'_>, store: &mut dyn TrainStore, observer: &dyn Observer, error: &TrainError) {
+fn leave_gpu(
+    training: &mut Training<'_>,
+    store: &mut dyn TrainStore,
+    observer: &dyn Observer,
+    error: &TrainError,
+) {
     observer.warn(&format!("{error}; the run goes on from there on the CPU"));
     training.gpu = None;
     store.left_gpu();
 }
 
-/// Seconds that are left for iterations: of the budget, which the first splats have taken a part of, but at least half of it; and of
-/// the time until `end`.
+/// Seconds that are left for iterations: of the budget, which the first splats have taken a part
+/// of, but at least half of it; and of the time until `end`.
 fn affordable(budget_s: f64, started: Instant, end: Option<Instant>) -> f64 {
-    let budget_s = if budget_s > 0.0 { budget_s } else { f64::INFINITY };
-    let left_s = end.map_or(f64::INFINITY, |end| end.saturating_duration_since(Instant::now()).as_secs_f64());
-    (budget_s - started.elapsed().as_secs_f64()).max(0.5 * budget_s).min(left_s)
+    let budget_s = if budget_s > 0.0 {
+        budget_s
+    } else {
+        f64::INFINITY
+    };
+    let left_s = end.map_or(f64::INFINITY, |end| {
+        end.saturating_duration_since(Instant::now()).as_secs_f64()
+    });
+    (budget_s - started.elapsed().as_secs_f64())
+        .max(0.5 * budget_s)
+        .min(left_s)
 }

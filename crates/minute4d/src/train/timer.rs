@@ -5,7 +5,8 @@ use m4_core::Progress;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Stops a trainer when it is time for a checkpoint, when a page requests the scene, or on request of the user.
+/// Stops a trainer when it is time for a checkpoint, when a page requests the scene, or on request
+/// of the user.
 pub(super) struct CheckpointTimer<'a> {
     observer: &'a dyn Observer,
     until: Instant,
@@ -17,8 +18,14 @@ impl<'a> CheckpointTimer<'a> {
     /// Lasts for this many seconds.
     pub fn new(observer: &'a dyn Observer, seconds: f64) -> Self {
         const LONGEST: Duration = Duration::from_secs(1 << 31);
-        let wait = Duration::try_from_secs_f64(seconds).unwrap_or(LONGEST).min(LONGEST);
-        Self { observer, until: Instant::now() + wait, asked: AtomicBool::new(false) }
+        let wait = Duration::try_from_secs_f64(seconds)
+            .unwrap_or(LONGEST)
+            .min(LONGEST);
+        Self {
+            observer,
+            until: Instant::now() + wait,
+            asked: AtomicBool::new(false),
+        }
     }
 
     /// The same, but not beyond `end`.

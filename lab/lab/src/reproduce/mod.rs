@@ -1,4 +1,5 @@
-//! Reproduces published tables: imports, splits, trains and scores every available scene of a data set.
+//! Reproduces published tables: imports, splits, trains and scores every available scene of a data
+//! set.
 //!
 //! ```text
 //! folder of a data set --Suite--> scenes --import, or geometry of a video--> capture --split--> capture of the protocol
@@ -6,9 +7,10 @@
 //!   --without each part--> the ablations
 //! ```
 //!
-//! Finished scenes are not run again: a scene is skipped if its record has the key of its data, its settings and its device. The two
-//! tasks have separate tables ([`minute4d_eval::Task`]), and our results are separate from published ones, which were measured on
-//! other machines, most with other poses.
+//! Finished scenes are not run again: a scene is skipped if its record has the key of its data, its
+//! settings and its device. The two tasks have separate tables ([`minute4d_eval::Task`]), and our
+//! results are separate from published ones, which were measured on other machines, most with other
+//! poses.
 
 mod plot;
 mod published;
@@ -63,17 +65,19 @@ pub struct ReproduceOptions {
     pub refine_poses: bool,
     /// The source of poses and depth.
     pub geometry: GeometrySource,
-    /// The program itself, to make every scene again without each part of the method ([`mod@crate::ablate`]); `None` to leave that out.
+    /// The program itself, to make every scene again without each part of the method
+    /// ([`mod@crate::ablate`]); `None` to leave that out.
     pub ablations: Option<PathBuf>,
 }
 
-/// Makes the tables of a data set in the folder `out` with the settings of `job` ([`Suite::settings`]): `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are finished are
-/// not made again; [`Job::existing`] is of no meaning.
+/// Makes the tables of a data set in the folder `out` with the settings of `job`
+/// ([`Suite::settings`]): `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are
+/// finished are not made again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] where no scene of the data set is in `data`, with where people get them; [`Error`] of the scene that failed,
-/// when those before it are kept.
+/// [`Error::Refused`] where no scene of the data set is in `data`, with where people get them;
+/// [`Error`] of the scene that failed, when those before it are kept.
 pub fn reproduce(
     suite: Suite,
     data: &Path,
@@ -82,19 +86,35 @@ pub fn reproduce(
     job: &Job<'_>,
 ) -> Result<ReproduceReport, Error> {
     if !data.is_dir() {
-        return Err(minute4d::Error::Missing { what: "folder of the data set", path: data.to_path_buf() }.into());
+        return Err(minute4d::Error::Missing {
+            what: "folder of the data set",
+            path: data.to_path_buf(),
+        }
+        .into());
     }
     job.check()?;
     let protocols = suite.protocols_of(&options.protocols)?;
     let (found, missing) = suite.find(data, &options.scenes);
     if found.is_empty() {
-        let missing: Vec<String> = missing.iter().map(|m| format!("{} ({})", m.scene, m.why)).collect();
-        let message =
-            format!("no scene of {suite} is in {}: {}. {}", data.display(), missing.join(", "), suite.facts().source);
+        let missing: Vec<String> = missing
+            .iter()
+            .map(|m| format!("{} ({})", m.scene, m.why))
+            .collect();
+        let message = format!(
+            "no scene of {suite} is in {}: {}. {}",
+            data.display(),
+            missing.join(", "),
+            suite.facts().source
+        );
         return Err(Refusal::new(Category::NoInput, message).into());
     }
     for scene in &missing {
-        job.observer.warn(&format!("{}: {}; {}", scene.scene, scene.why, suite.facts().source));
+        job.observer.warn(&format!(
+            "{}: {}; {}",
+            scene.scene,
+            scene.why,
+            suite.facts().source
+        ));
     }
     let total = found.len() * protocols.len();
     let mut done = 0;
@@ -102,7 +122,8 @@ pub fn reproduce(
     for &protocol in &protocols {
         let (mut rows, mut ablations) = (Vec::new(), Vec::new());
         for found in &found {
-            job.observer.update("scenes", done, total, &format!("{protocol} {}", found.name));
+            job.observer
+                .update("scenes", done, total, &format!("{protocol} {}", found.name));
             let made = scene::make(suite, found, protocol, out, options, job)?;
             if let Some(program) = &options.ablations {
                 let options = AblateOptions {
@@ -111,8 +132,12 @@ pub fn reproduce(
                     data: Some(made.views),
                     grow_mask: GROW_MASK,
                 };
-                let report = ablate::ablate(&made.capture, &made.folder.join("ablation"), &options, job)?;
-                ablations.push(SceneAblation { scene: made.row.scene.clone(), report });
+                let report =
+                    ablate::ablate(&made.capture, &made.folder.join("ablation"), &options, job)?;
+                ablations.push(SceneAblation {
+                    scene: made.row.scene.clone(),
+                    report,
+                });
             }
             rows.push(made.row);
             done += 1;
@@ -134,13 +159,16 @@ pub fn reproduce(
         missing,
     };
     let plots: Vec<String> = report.tables.iter().map(TableReport::plot_file).collect();
-    let files = [REPORT_FILE, TABLE_FILE].into_iter().chain(plots.iter().map(String::as_str));
+    let files = [REPORT_FILE, TABLE_FILE]
+        .into_iter()
+        .chain(plots.iter().map(String::as_str));
     minute4d::layout::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
     for table in &report.tables {
         plot::write_plot(&out.join(table.plot_file()), table)?;
     }
     write_json(&out.join(REPORT_FILE), &report)?;
     let path = out.join(TABLE_FILE);
-    atomic::write(&path, report.to_markdown().as_bytes()).map_err(|source| minute4d::Error::Write { path, source })?;
+    atomic::write(&path, report.to_markdown().as_bytes())
+        .map_err(|source| minute4d::Error::Write { path, source })?;
     Ok(report)
 }

@@ -25,7 +25,11 @@ struct Bar {
 pub(super) fn write_plot(path: &Path, table: &TableReport) -> Result<(), Refusal> {
     let mut bars: Vec<Bar> = Vec::new();
     let mut ours = |name: String, value: Option<f64>| {
-        bars.extend(value.filter(|v| v.is_finite()).map(|psnr_db| Bar { name, psnr_db, colour: OURS }));
+        bars.extend(value.filter(|v| v.is_finite()).map(|psnr_db| Bar {
+            name,
+            psnr_db,
+            colour: OURS,
+        }));
     };
     ours(table.ours(), table.mean.get("headline").copied());
     for row in &table.rows {
@@ -39,17 +43,35 @@ pub(super) fn write_plot(path: &Path, table: &TableReport) -> Result<(), Refusal
         psnr_db: p.psnr_db,
         colour: THEIRS,
     }));
-    draw(path, table, &bars)
-        .map_err(|what| Refusal::new(Category::CannotWrite, format!("cannot write {}: {what}", path.display())))
+    draw(path, table, &bars).map_err(|what| {
+        Refusal::new(
+            Category::CannotWrite,
+            format!("cannot write {}: {what}", path.display()),
+        )
+    })
 }
 
 fn draw(path: &Path, table: &TableReport, bars: &[Bar]) -> Result<(), Box<dyn std::error::Error>> {
     let height = TOP + ROW * bars.len() as i32 + 24;
     let root = SVGBackend::new(path, (WIDTH as u32, height as u32)).into_drawing_area();
-    let text = |words: String, at: (i32, i32), size: i32| Text::new(words, at, ("sans-serif", size).into_font());
+    let text = |words: String, at: (i32, i32), size: i32| {
+        Text::new(words, at, ("sans-serif", size).into_font())
+    };
     root.fill(&WHITE)?;
-    root.draw(&text(format!("{}: {}", table.suite.facts().title, table.protocol.rules().title), (16, 12), 18))?;
-    let unit = format!("{} of {}, dB; bars begin at 10 dB", table.headline, table.task.title());
+    root.draw(&text(
+        format!(
+            "{}: {}",
+            table.suite.facts().title,
+            table.protocol.rules().title
+        ),
+        (16, 12),
+        18,
+    ))?;
+    let unit = format!(
+        "{} of {}, dB; bars begin at 10 dB",
+        table.headline,
+        table.task.title()
+    );
     root.draw(&text(unit, (16, 36), 14))?;
     let most = bars.iter().map(|b| b.psnr_db).fold(20.0, f64::max);
     for (i, bar) in bars.iter().enumerate() {
@@ -57,7 +79,10 @@ fn draw(path: &Path, table: &TableReport, bars: &[Bar]) -> Result<(), Box<dyn st
         let share = ((bar.psnr_db - 10.0) / (most - 10.0)).clamp(0.0, 1.0);
         let end = FROM + (share * f64::from(TO - FROM)).round() as i32;
         root.draw(&text(bar.name.clone(), (16, top + 4), 15))?;
-        root.draw(&Rectangle::new([(FROM, top + 3), (end, top + ROW - 5)], bar.colour.filled()))?;
+        root.draw(&Rectangle::new(
+            [(FROM, top + 3), (end, top + ROW - 5)],
+            bar.colour.filled(),
+        ))?;
         root.draw(&text(format!("{:.2}", bar.psnr_db), (end + 6, top + 4), 15))?;
     }
     Ok(root.present()?)

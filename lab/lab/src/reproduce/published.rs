@@ -1,7 +1,9 @@
-//! Published results, each with its task and source; results of different tasks never share a table. `docs/results.md` has them all.
+//! Published results, each with its task and source; results of different tasks never share a
+//! table. `docs/results.md` has them all.
 //!
-//! Peers' rows were found by search (abstracts, pages, tables), not all read at the source; `not identified`: whose table it was is not
-//! known. Times are those of the GPU that their authors used.
+//! Peers' rows were found by search (abstracts, pages, tables), not all read at the source;
+//! `not identified`: whose table it was is not known. Times are those of the GPU that their authors
+//! used.
 
 use minute4d_eval::Protocol;
 use serde::Serialize;
@@ -10,7 +12,8 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Published {
     pub(super) method: &'static str,
-    /// What its poses are: `slam` (estimated with the held-out frames), `estimated`, `given`; absent where that was not seen stated.
+    /// What its poses are: `slam` (estimated with the held-out frames), `estimated`, `given`;
+    /// absent where that was not seen stated.
     pub(super) poses: Option<&'static str>,
     /// Mean of the score that stands for the protocol, dB.
     pub(super) psnr_db: f64,
@@ -109,11 +112,13 @@ const NOVEL_NVIDIA: &[Published] = published![
     "HyperNeRF",       "given", 17.60, -,     -,     "64 h",     0.4,    7, "Minute4D's paper";
 ];
 
-/// Published numbers that may stand beside those of a protocol: of the same task on the same data set.
+/// Published numbers that may stand beside those of a protocol: of the same task on the same data
+/// set.
 #[must_use]
 pub fn published(protocol: Protocol) -> &'static [Published] {
     match protocol {
-        // the paper names the split of RoDyGS, and compares with numbers that were made on Instant4D's
+        // the paper names the split of RoDyGS, and compares with numbers that were made on
+        // Instant4D's
         Protocol::Instant4d | Protocol::Rodygs => HELD_OUT,
         Protocol::Dycheck => NOVEL_DYCHECK,
         Protocol::Nvidia => NOVEL_NVIDIA,
@@ -157,9 +162,18 @@ mod tests {
 
     #[test]
     fn tasks_are_not_mixed() {
-        let of = |protocol| published(protocol).iter().map(|p| p.psnr_db).collect::<Vec<_>>();
+        let of = |protocol| {
+            published(protocol)
+                .iter()
+                .map(|p| p.psnr_db)
+                .collect::<Vec<_>>()
+        };
         // the paper has no number of DyCheck's own test
-        assert!(published(Protocol::Dycheck).iter().all(|p| p.method != "Minute4D"));
+        assert!(
+            published(Protocol::Dycheck)
+                .iter()
+                .all(|p| p.method != "Minute4D")
+        );
         for protocol in Protocol::ALL {
             for other in Protocol::ALL {
                 let same = protocol.rules().task == other.rules().task;
@@ -169,20 +183,42 @@ mod tests {
         }
         assert_eq!(Protocol::Davis.rules().task, Task::HeldOutFrames);
         // that table is one paper's, whatever methods are in it
-        assert!(published(Protocol::Instant4d).iter().all(|p| p.source.starts_with("Minute4D's paper, table")));
+        assert!(
+            published(Protocol::Instant4d)
+                .iter()
+                .all(|p| p.source.starts_with("Minute4D's paper, table"))
+        );
     }
 
     #[test]
     fn rows_are_complete_and_sorted_and_have_a_source() {
-        let peers =
-            ["MoVieS", "MotionScale", "Shape of Motion", "Gaussian Marbles", "4D-Fly", "SE(3) B-spline", "SplineGS"];
+        let peers = [
+            "MoVieS",
+            "MotionScale",
+            "Shape of Motion",
+            "Gaussian Marbles",
+            "4D-Fly",
+            "SE(3) B-spline",
+            "SplineGS",
+        ];
         let has = |rows: &[Published], name: &str| rows.iter().any(|p| p.method == name);
-        assert!(peers.iter().all(|name| has(published(Protocol::Dycheck), name)));
+        assert!(
+            peers
+                .iter()
+                .all(|name| has(published(Protocol::Dycheck), name))
+        );
         let without = ["MoVieS", "Gaussian Marbles"];
-        assert!(peers.iter().all(|name| has(published(Protocol::Nvidia), name) != without.contains(name)));
+        assert!(
+            peers
+                .iter()
+                .all(|name| has(published(Protocol::Nvidia), name) != without.contains(name))
+        );
         for protocol in Protocol::ALL {
             let rows = published(protocol);
-            assert!(rows.iter().all(|p| !p.source.is_empty()) && rows.is_sorted_by(|a, b| a.psnr_db >= b.psnr_db));
+            assert!(
+                rows.iter().all(|p| !p.source.is_empty())
+                    && rows.is_sorted_by(|a, b| a.psnr_db >= b.psnr_db)
+            );
         }
     }
 
@@ -192,7 +228,10 @@ mod tests {
         let page = std::fs::read_to_string(path).unwrap();
         for protocol in [Protocol::Instant4d, Protocol::Dycheck, Protocol::Nvidia] {
             let table = aligned(&published_lines(published(protocol)));
-            assert!(page.contains(&table), "docs/results.md lacks the table of {protocol}:\n{table}");
+            assert!(
+                page.contains(&table),
+                "docs/results.md lacks the table of {protocol}:\n{table}"
+            );
         }
     }
 }

@@ -61,7 +61,12 @@ impl std::fmt::Display for UsedSettings {
             true => write!(f, "{} s of training", self.budget_s)?,
             false => write!(f, "{} iterations", self.iterations)?,
         }
-        let Self { instance_interval, track_stride, motion_threshold, .. } = self;
+        let Self {
+            instance_interval,
+            track_stride,
+            motion_threshold,
+            ..
+        } = self;
         write!(
             f,
             ", instance interval {instance_interval}, tracking stride {track_stride}, motion threshold {motion_threshold}"
@@ -85,7 +90,8 @@ pub struct TableReport {
     /// Name of the score that stands for it.
     pub(super) headline: String,
     pub(super) rows: Vec<SceneRow>,
-    /// Means over them, by name: `headline`, `psnr_db`, `ssim`, the other scores, `train_s`, `frames_per_s`.
+    /// Means over them, by name: `headline`, `psnr_db`, `ssim`, the other scores, `train_s`,
+    /// `frames_per_s`.
     pub(super) mean: BTreeMap<String, f64>,
     /// Over how many of the scenes of the published mean ours is.
     pub(super) scenes_of_published: [usize; 2],
@@ -110,7 +116,8 @@ pub struct SceneRow {
     pub(super) ssim: f64,
     /// Means of the other scores.
     pub(super) others: BTreeMap<String, f64>,
-    /// Whose poses the scene was trained with (`own`: found from the images), and how test images got theirs.
+    /// Whose poses the scene was trained with (`own`: found from the images), and how test images
+    /// got theirs.
     pub(super) poses: String,
     /// Where scores count, in words.
     pub(super) mask: String,
@@ -128,10 +135,18 @@ pub struct SceneRow {
 }
 
 impl TableReport {
-    pub(super) fn new(suite: Suite, protocol: Protocol, rows: Vec<SceneRow>, ablations: Vec<SceneAblation>) -> Self {
+    pub(super) fn new(
+        suite: Suite,
+        protocol: Protocol,
+        rows: Vec<SceneRow>,
+        ablations: Vec<SceneAblation>,
+    ) -> Self {
         let rules = protocol.rules();
         let published_scenes = suite.scenes(protocol);
-        let counted = rows.iter().filter(|r| published_scenes.contains(&r.scene.as_str())).count();
+        let counted = rows
+            .iter()
+            .filter(|r| published_scenes.contains(&r.scene.as_str()))
+            .count();
         let mut sums: BTreeMap<String, (f64, usize)> = BTreeMap::new();
         for row in &rows {
             let own = [
@@ -141,7 +156,9 @@ impl TableReport {
                 ("train_s", row.train_s),
                 ("frames_per_s", row.frames_per_s),
             ];
-            let own = own.into_iter().filter_map(|(name, v)| Some((name.to_owned(), v?)));
+            let own = own
+                .into_iter()
+                .filter_map(|(name, v)| Some((name.to_owned(), v?)));
             for (name, value) in own.chain(row.others.clone()) {
                 let sum = sums.entry(name).or_default();
                 *sum = (sum.0 + value, sum.1 + 1);
@@ -149,7 +166,9 @@ impl TableReport {
         }
         // a mean over some of the rows would stand beside means over all
         let whole = sums.into_iter().filter(|(_, (_, n))| *n == rows.len());
-        let mean = whole.map(|(name, (sum, n))| (name, sum / n as f64)).collect();
+        let mean = whole
+            .map(|(name, (sum, n))| (name, sum / n as f64))
+            .collect();
         Self {
             suite,
             protocol,
@@ -172,7 +191,10 @@ impl TableReport {
     /// Returns the name of our mean.
     pub(super) fn ours(&self) -> String {
         let [counted, all] = self.scenes_of_published;
-        format!("this run ({counted} of {all} scenes, poses {})", self.poses(" and "))
+        format!(
+            "this run ({counted} of {all} scenes, poses {})",
+            self.poses(" and ")
+        )
     }
 
     /// Where the poses of the rows come from.
@@ -186,7 +208,8 @@ impl TableReport {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SceneAblation {
     pub(super) scene: String,
-    /// The rows; PSNR and SSIM are of whole images (clamped, 8 bits), whatever the protocol's headline is.
+    /// The rows; PSNR and SSIM are of whole images (clamped, 8 bits), whatever the protocol's
+    /// headline is.
     pub(super) report: AblationReport,
 }
 
@@ -269,30 +292,62 @@ fn one(table: &TableReport) -> String {
         out += &format!("\n{}\n", table.caveat);
         return out;
     }
-    out +=
-        &format!("\n### Published, the same task\n\nOur mean is over {counted} of the {all} scenes of published means");
-    out += if counted == all && table.rows.len() == all { ".\n\n" } else { ": the two do not compare yet.\n\n" };
+    out += &format!(
+        "\n### Published, the same task\n\nOur mean is over {counted} of the {all} scenes of published means"
+    );
+    out += if counted == all && table.rows.len() == all {
+        ".\n\n"
+    } else {
+        ": the two do not compare yet.\n\n"
+    };
     out += &aligned(&beside(table));
-    out += &format!("\n{}\n\n![{}]({})\n", table.caveat, table.protocol, table.plot_file());
+    out += &format!(
+        "\n{}\n\n![{}]({})\n",
+        table.caveat,
+        table.protocol,
+        table.plot_file()
+    );
     out
 }
 
 fn sentence(text: &str) -> String {
     let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+    letters.next().map_or_else(String::new, |first| {
+        first.to_uppercase().chain(letters).collect()
+    })
 }
 
 fn ours(table: &TableReport) -> Vec<Vec<String>> {
     let has = |name: &str| table.rows.iter().any(|row| row.others.contains_key(name));
     let scores: Vec<_> = SCORES.into_iter().filter(|(name, ..)| has(name)).collect();
-    let mut head: Vec<String> = ["scene", "views", "PSNR dB", "SSIM"].map(String::from).to_vec();
+    let mut head: Vec<String> = ["scene", "views", "PSNR dB", "SSIM"]
+        .map(String::from)
+        .to_vec();
     head.extend(scores.iter().map(|(_, title, _)| (*title).to_owned()));
-    head.extend(["poses", "training s", "steps", "splats", "images/s", "device"].map(String::from));
+    head.extend(
+        [
+            "poses",
+            "training s",
+            "steps",
+            "splats",
+            "images/s",
+            "device",
+        ]
+        .map(String::from),
+    );
     let mut lines = vec![head];
     for row in &table.rows {
-        let mut line =
-            vec![row.scene.clone(), row.views.to_string(), number(Some(row.psnr_db), 2), number(Some(row.ssim), 4)];
-        line.extend(scores.iter().map(|&(name, _, digits)| number(row.others.get(name).copied(), digits)));
+        let mut line = vec![
+            row.scene.clone(),
+            row.views.to_string(),
+            number(Some(row.psnr_db), 2),
+            number(Some(row.ssim), 4),
+        ];
+        line.extend(
+            scores
+                .iter()
+                .map(|&(name, _, digits)| number(row.others.get(name).copied(), digits)),
+        );
         line.extend([
             row.poses.clone(),
             number(row.train_s, 1),
@@ -310,7 +365,11 @@ fn ours(table: &TableReport) -> Vec<Vec<String>> {
         number(mean("psnr_db"), 2),
         number(mean("ssim"), 4),
     ];
-    line.extend(scores.iter().map(|&(name, _, digits)| number(mean(name), digits)));
+    line.extend(
+        scores
+            .iter()
+            .map(|&(name, _, digits)| number(mean(name), digits)),
+    );
     line.extend([
         String::new(),
         number(mean("train_s"), 1),
@@ -331,7 +390,15 @@ fn beside(table: &TableReport) -> Vec<Vec<String>> {
     let ours = vec![
         "this run".to_owned(),
         number(mean("headline"), 2),
-        number(first(&["ssim_dycheck_masked_masked", "ssim_skimage_uniform", "ssim_gaussian_zero_padded", "ssim"]), 3),
+        number(
+            first(&[
+                "ssim_dycheck_masked_masked",
+                "ssim_skimage_uniform",
+                "ssim_gaussian_zero_padded",
+                "ssim",
+            ]),
+            3,
+        ),
         number(first(&["lpips_alex_masked", "lpips_alex"]), 3),
         table.poses(", "),
         mean("train_s").map_or("-".to_owned(), |s| format!("{s:.1} s")),
@@ -345,7 +412,17 @@ fn beside(table: &TableReport) -> Vec<Vec<String>> {
 
 /// Published numbers under a head.
 pub(super) fn published_lines(rows: &[Published]) -> Vec<Vec<String>> {
-    let head = ["method", "PSNR dB", "SSIM", "LPIPS Alex", "poses", "training", "images/s", "scenes", "source"];
+    let head = [
+        "method",
+        "PSNR dB",
+        "SSIM",
+        "LPIPS Alex",
+        "poses",
+        "training",
+        "images/s",
+        "scenes",
+        "source",
+    ];
     let mut lines = vec![head.map(String::from).to_vec()];
     for p in rows {
         lines.push(vec![
@@ -355,7 +432,14 @@ pub(super) fn published_lines(rows: &[Published]) -> Vec<Vec<String>> {
             number(p.lpips, 3),
             p.poses.unwrap_or("-").to_owned(),
             p.training.unwrap_or("-").to_owned(),
-            number(p.frames_per_s, if p.frames_per_s.is_some_and(|f| f < 10.0) { 2 } else { 0 }),
+            number(
+                p.frames_per_s,
+                if p.frames_per_s.is_some_and(|f| f < 10.0) {
+                    2
+                } else {
+                    0
+                },
+            ),
             number(p.scenes.map(|n| n as f64), 0),
             p.source.to_owned(),
         ]);

@@ -24,7 +24,9 @@ use minute4d_cli::run::Job;
 use minute4d_cli::run::record::RunRecord;
 use minute4d_cli::run::{self, geometry, import};
 use minute4d_eval::Error;
-use minute4d_eval::{self as evaluate, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol};
+use minute4d_eval::{
+    self as evaluate, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol,
+};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -78,7 +80,10 @@ pub(super) fn make(
         &source,
         &job.settings.to_toml()?,
         &job.device.choice.to_string(),
-        &format!("{:?} {} {:?}", options.factor, options.refine_poses, options.geometry),
+        &format!(
+            "{:?} {} {:?}",
+            options.factor, options.refine_poses, options.geometry
+        ),
     ]);
     let file = folder.join(ROW_FILE);
     let run = folder.join("run");
@@ -88,14 +93,31 @@ pub(super) fn make(
     if suite == Suite::Davis {
         settings.video.folder_fps = DAVIS_FPS;
     }
-    let job = Job { settings, existing: Existing::Resume, ..*job };
+    let job = Job {
+        settings,
+        existing: Existing::Resume,
+        ..*job
+    };
     let whole = out.join("captures").join(&scene.name);
     let own = options.geometry == GeometrySource::Own && suite != Suite::Davis;
-    let trained = if own { out.join("captures-own").join(&scene.name) } else { whole.clone() };
+    let trained = if own {
+        out.join("captures-own").join(&scene.name)
+    } else {
+        whole.clone()
+    };
     let splits = protocol.rules().frames != FrameRule::TestSplit;
     let part = folder.join("capture");
-    let (data, views) = if splits { (part.clone(), part) } else { (trained.clone(), whole.clone()) };
-    let made = |row| SceneResult { row, folder: folder.clone(), capture: data.clone(), views: views.clone() };
+    let (data, views) = if splits {
+        (part.clone(), part)
+    } else {
+        (trained.clone(), whole.clone())
+    };
+    let made = |row| SceneResult {
+        row,
+        folder: folder.clone(),
+        capture: data.clone(),
+        views: views.clone(),
+    };
     if let Some(kept) = read::<CachedRow>(&file)
         && kept.key == key
         && run.join(EVAL_FILE).is_file()
@@ -109,10 +131,18 @@ pub(super) fn make(
         geometry_s = Some(own_geometry(&whole, &trained, &job)?);
     }
     if splits {
-        evaluate::split(&trained, protocol, &data, Existing::Resume, job.settings.capture.reach, job.observer)?;
+        evaluate::split(
+            &trained,
+            protocol,
+            &data,
+            Existing::Resume,
+            job.settings.capture.reach,
+            job.observer,
+        )?;
     } else if !whole.join(Split::Test.file_name()).is_file() {
         let path = scene.path.display();
-        let message = format!("{path} has no held-out views, which the protocol {protocol} scores; {HINT}");
+        let message =
+            format!("{path} has no held-out views, which the protocol {protocol} scores; {HINT}");
         return Err(Refusal::bad_input(message).into());
     }
     let record = run::train::make(&data, &run, &job)?;
@@ -123,7 +153,10 @@ pub(super) fn make(
         ..EvalOptions::default()
     };
     let report = evaluate::views(&run, &views, &judging, job.observer)?;
-    let treatment = report.choices.as_ref().map(|choices| choices.poses.treatment);
+    let treatment = report
+        .choices
+        .as_ref()
+        .map(|choices| choices.poses.treatment);
     if own && !splits && treatment == Some(PoseTreatment::Given) {
         return Err(Refusal::bad_input(format!(
             "the cameras found from the images of {} do not align with those of the data set, so its views cannot be placed; train with \
@@ -133,11 +166,18 @@ pub(super) fn make(
         .into());
     }
     let row = row(scene, &report, &record, geometry_s)?;
-    write_json(&file, &CachedRow { key, row: row.clone() })?;
+    write_json(
+        &file,
+        &CachedRow {
+            key,
+            row: row.clone(),
+        },
+    )?;
     Ok(made(row))
 }
 
-/// Geometry from the training images alone, as they lie in the capture that was imported; its seconds.
+/// Geometry from the training images alone, as they lie in the capture that was imported; its
+/// seconds.
 fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error> {
     let mut settings = job.settings.clone();
     let options = &settings.capture;
@@ -156,11 +196,16 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
     }
     drop(train);
     let [images, ..] = Split::Train.folders();
-    let job = Job { settings, existing: Existing::Resume, ..*job };
+    let job = Job {
+        settings,
+        existing: Existing::Resume,
+        ..*job
+    };
     Ok(geometry::make(&imported.join(images), out, &job)?.seconds)
 }
 
-/// The capture of a scene with all its frames, made if it is missing; seconds of its geometry where that was estimated.
+/// The capture of a scene with all its frames, made if it is missing; seconds of its geometry where
+/// that was estimated.
 fn whole_capture(
     suite: Suite,
     scene: &FoundScene,
@@ -174,14 +219,22 @@ fn whole_capture(
         Suite::Nvidia => SourceFormat::Nvidia,
         Suite::Davis => return Ok(Some(geometry::make(&scene.path, whole, job)?.seconds)),
     };
-    let key = hash::of_parts(&[env!("CARGO_PKG_VERSION"), source, &format!("{:?}", options.factor)]);
+    let key = hash::of_parts(&[
+        env!("CARGO_PKG_VERSION"),
+        source,
+        &format!("{:?}", options.factor),
+    ]);
     let file = whole.join(KEY_FILE);
     if read::<Imported>(&file).is_some_and(|kept| kept.key == key) {
         return Ok(None);
     }
     let mut results = ResultFolder::open(whole, Kind::Capture)?;
     if !results.is_empty() && !file.is_file() {
-        return Err(OutputError::NotOurs { path: whole.to_path_buf(), missing: KEY_FILE }.into());
+        return Err(OutputError::NotOurs {
+            path: whole.to_path_buf(),
+            missing: KEY_FILE,
+        }
+        .into());
     }
     results.check_free(layout::capture_names().chain([KEY_FILE]))?;
     let import = ImportOptions {
@@ -214,10 +267,15 @@ fn row(
     record: &RunRecord,
     geometry_s: Option<f64>,
 ) -> Result<SceneRow, Error> {
-    let lacks = |what: &str| minute4d::Error::Internal { what: format!("the report of {} has no {what}", scene.name) };
+    let lacks = |what: &str| minute4d::Error::Internal {
+        what: format!("the report of {} has no {what}", scene.name),
+    };
     let choices = report.choices.as_ref().ok_or_else(|| lacks("choices"))?;
     let mean = report.mean.ok_or_else(|| lacks("mean"))?;
-    let others = report.mean_others.iter().map(|(name, m)| (name.clone(), m.mean));
+    let others = report
+        .mean_others
+        .iter()
+        .map(|(name, m)| (name.clone(), m.mean));
     Ok(SceneRow {
         scene: scene.name.clone(),
         views: mean.frames,
@@ -236,7 +294,10 @@ fn row(
             evaluate::MaskSource::Computed => "co-visibility masks made here,".to_owned(),
         },
         size_px: choices.resolution.scored_px,
-        train_s: record.stages.get(run::train::STAGE).map(|stage| stage.seconds),
+        train_s: record
+            .stages
+            .get(run::train::STAGE)
+            .map(|stage| stage.seconds),
         geometry_s,
         iterations: record.iterations,
         splats: report.splats,
@@ -249,7 +310,8 @@ fn read<T: for<'a> Deserialize<'a>>(path: &Path) -> Option<T> {
     serde_json::from_slice(&files::read(path, MAX_RECORD_BYTES).ok()?).ok()
 }
 
-/// Names, sizes and times of all files below a folder: reading them all would take longer than training does.
+/// Names, sizes and times of all files below a folder: reading them all would take longer than
+/// training does.
 fn fingerprint(folder: &Path) -> Result<String, Error> {
     let mut parts = Vec::new();
     let mut open = vec![folder.to_path_buf()];
@@ -265,11 +327,24 @@ fn fingerprint(folder: &Path) -> Result<String, Error> {
                 open.push(path);
                 continue;
             }
-            let modified = meta.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok());
-            let name = path.strip_prefix(folder).unwrap_or(&path).display().to_string();
-            parts.push(format!("{name} {} {}", meta.len(), modified.map_or(0, |t| t.as_nanos())));
+            let modified = meta
+                .modified()
+                .ok()
+                .and_then(|t| t.duration_since(UNIX_EPOCH).ok());
+            let name = path
+                .strip_prefix(folder)
+                .unwrap_or(&path)
+                .display()
+                .to_string();
+            parts.push(format!(
+                "{name} {} {}",
+                meta.len(),
+                modified.map_or(0, |t| t.as_nanos())
+            ));
         }
     }
     parts.sort();
-    Ok(hash::of_parts(&parts.iter().map(String::as_str).collect::<Vec<_>>()))
+    Ok(hash::of_parts(
+        &parts.iter().map(String::as_str).collect::<Vec<_>>(),
+    ))
 }

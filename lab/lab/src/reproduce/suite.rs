@@ -39,8 +39,9 @@ pub(super) struct Facts {
     pub source: &'static str,
 }
 
-/// The settings that the paper has for a data set: steps (docs/spec/optimiser.md 3), frames between two searches for new objects (B,
-/// docs/spec/front-end.md 2.4) and between two frames in which points start (docs/spec/front-end.md 3).
+/// The settings that the paper has for a data set: steps (docs/spec/optimiser.md 3), frames between
+/// two searches for new objects (B, docs/spec/front-end.md 2.4) and between two frames in which
+/// points start (docs/spec/front-end.md 3).
 struct Paper {
     iterations: usize,
     instance_interval: usize,
@@ -49,28 +50,55 @@ struct Paper {
     voxel_px: f32,
 }
 
-/// Probability of motion above which a pixel is dynamic, in all data sets of the paper (tau, docs/spec/front-end.md 2.4).
+/// Probability of motion above which a pixel is dynamic, in all data sets of the paper (tau,
+/// docs/spec/front-end.md 2.4).
 const MOTION_THRESHOLD: f32 = 0.7;
 
 const DYCHECK: Facts = Facts {
     name: "dycheck",
     title: "DyCheck (iPhone)",
-    scenes: &["apple", "block", "paper-windmill", "spin", "teddy", "space-out", "wheel"],
+    scenes: &[
+        "apple",
+        "block",
+        "paper-windmill",
+        "spin",
+        "teddy",
+        "space-out",
+        "wheel",
+    ],
     below: &["", "iphone", "dycheck", "dycheck/iphone"],
     protocols: &[Protocol::Instant4d, Protocol::Dycheck],
     more_protocols: &[Protocol::Rodygs, Protocol::Holdout],
-    paper: Paper { iterations: 5000, instance_interval: 50, track_stride: 10, voxel_px: 6.0 },
+    paper: Paper {
+        iterations: 5000,
+        instance_interval: 50,
+        track_stride: 10,
+        voxel_px: 6.0,
+    },
     source: "The scenes are on the project page of DyCheck (Gao et al., NeurIPS 2022: the README of KAIR-BAIR/dycheck, docs/DATASETS.md), a \
              zip file each; unpack them side by side",
 };
 const NVIDIA: Facts = Facts {
     name: "nvidia",
     title: "NVIDIA Dynamic Scenes",
-    scenes: &["Balloon1", "Balloon2", "Jumping", "Playground", "Skating", "Truck", "Umbrella"],
+    scenes: &[
+        "Balloon1",
+        "Balloon2",
+        "Jumping",
+        "Playground",
+        "Skating",
+        "Truck",
+        "Umbrella",
+    ],
     below: &["", "nvidia", "Nvidia", "NVIDIA"],
     protocols: &[Protocol::Nvidia],
     more_protocols: &[],
-    paper: Paper { iterations: 1500, instance_interval: 2, track_stride: 1, voxel_px: 4.0 },
+    paper: Paper {
+        iterations: 1500,
+        instance_interval: 2,
+        track_stride: 1,
+        voxel_px: 4.0,
+    },
     source: "The scenes with poses and masks, and the images that results are compared with (gt/v000_tTTT.png), are bundles that the \
              README of facebookresearch/robust-dynrf links; unpack them side by side",
 };
@@ -86,7 +114,12 @@ const DAVIS: Facts = Facts {
     ],
     protocols: &[Protocol::Davis],
     more_protocols: &[Protocol::Holdout],
-    paper: Paper { iterations: 5000, instance_interval: 10, track_stride: 10, voxel_px: 2.0 },
+    paper: Paper {
+        iterations: 5000,
+        instance_interval: 10,
+        track_stride: 10,
+        voxel_px: 2.0,
+    },
     source: "DAVIS 2017 (TrainVal, 480p) is on davischallenge.org, a zip file; give the folder that holds JPEGImages, and other clips of it with \
              --scenes",
 };
@@ -115,7 +148,8 @@ impl Suite {
         self.facts().name
     }
 
-    /// The built-in settings for the data set: those of the profile, and for [`Profile::Faithful`] what the paper has for this data set.
+    /// The built-in settings for the data set: those of the profile, and for [`Profile::Faithful`]
+    /// what the paper has for this data set.
     pub fn settings(self, profile: Profile) -> Settings {
         let (mut settings, paper) = (Settings::of(profile), &self.facts().paper);
         if profile == Profile::Faithful {
@@ -133,7 +167,9 @@ impl Suite {
         let all = self.facts().scenes;
         match (self, protocol) {
             // the first table of the paper has five
-            (Self::Dycheck, Protocol::Instant4d | Protocol::Rodygs | Protocol::Holdout) => &all[..5],
+            (Self::Dycheck, Protocol::Instant4d | Protocol::Rodygs | Protocol::Holdout) => {
+                &all[..5]
+            }
             _ => all,
         }
     }
@@ -146,7 +182,11 @@ impl Suite {
         }
         let known = [facts.protocols, facts.more_protocols].concat();
         if let Some(&protocol) = asked.iter().find(|p| !known.contains(p)) {
-            let known = known.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ");
+            let known = known
+                .iter()
+                .map(|p| p.name())
+                .collect::<Vec<_>>()
+                .join(", ");
             return Err(Refusal::usage(format!(
                 "{self} is not scored by the protocol {protocol}; its protocols are {known}"
             )));
@@ -155,14 +195,29 @@ impl Suite {
     }
 
     /// The scenes in a folder, of those asked for or all of them, and what the others lack.
-    pub(super) fn find(self, data: &Path, asked: &[String]) -> (Vec<FoundScene>, Vec<MissingScene>) {
-        let all: Vec<String> = self.facts().scenes.iter().map(|s| (*s).to_owned()).collect();
+    pub(super) fn find(
+        self,
+        data: &Path,
+        asked: &[String],
+    ) -> (Vec<FoundScene>, Vec<MissingScene>) {
+        let all: Vec<String> = self
+            .facts()
+            .scenes
+            .iter()
+            .map(|s| (*s).to_owned())
+            .collect();
         let wanted = if asked.is_empty() { &all } else { asked };
         let (mut found, mut missing) = (Vec::new(), Vec::new());
         for name in wanted {
             match self.locate(data, name) {
-                Ok(path) => found.push(FoundScene { name: name.clone(), path }),
-                Err(why) => missing.push(MissingScene { scene: name.clone(), why }),
+                Ok(path) => found.push(FoundScene {
+                    name: name.clone(),
+                    path,
+                }),
+                Err(why) => missing.push(MissingScene {
+                    scene: name.clone(),
+                    why,
+                }),
             }
         }
         (found, missing)
@@ -229,17 +284,29 @@ mod tests {
         };
         assert_eq!(
             Suite::ALL.map(of),
-            [(50, 10, 5000, Some(6.0), 0.7), (2, 1, 1500, Some(4.0), 0.7), (10, 10, 5000, Some(2.0), 0.7)],
+            [
+                (50, 10, 5000, Some(6.0), 0.7),
+                (2, 1, 1500, Some(4.0), 0.7),
+                (10, 10, 5000, Some(2.0), 0.7)
+            ],
             "DyCheck, NVIDIA, DAVIS"
         );
-        assert!(Suite::ALL.iter().all(|suite| suite.settings(Profile::Fast) == Settings::fast()));
+        assert!(
+            Suite::ALL
+                .iter()
+                .all(|suite| suite.settings(Profile::Fast) == Settings::fast())
+        );
     }
 
     #[test]
     fn published_means_are_over_their_own_scenes() {
         assert_eq!(Suite::Dycheck.scenes(Protocol::Instant4d).len(), 5);
         assert_eq!(Suite::Dycheck.scenes(Protocol::Dycheck).len(), 7);
-        assert!(!Suite::Dycheck.scenes(Protocol::Instant4d).contains(&"wheel"));
+        assert!(
+            !Suite::Dycheck
+                .scenes(Protocol::Instant4d)
+                .contains(&"wheel")
+        );
         for suite in Suite::ALL {
             assert_eq!(suite.name().parse(), Ok(suite));
             assert!(!suite.protocols_of(&[]).unwrap().is_empty());

@@ -1,4 +1,5 @@
-//! First splats against what a minute makes of them: numbers, shares of static ones, with density control and without, at equal processor seconds.
+//! First splats against what a minute makes of them: numbers, shares of static ones, with density
+//! control and without, at equal processor seconds.
 
 use super::density::{first_and_last, scores, split};
 use super::page::table;
@@ -22,20 +23,25 @@ const SHARES: [f64; 3] = [0.25, 0.5, 0.75];
 const EVEN: f64 = 0.5;
 /// Points of a dynamic splat, about: it lives for several frames.
 const POINTS_PER_SPLAT: f64 = 2.5;
-/// What training may take of processors, with all that is not the loop: two cores for most of a minute.
+/// What training may take of processors, with all that is not the loop: two cores for most of a
+/// minute.
 const PROCESSOR_S: f64 = 110.0;
 const CORES: f64 = 2.0;
 /// Iterations of the run that tells what an iteration takes; the first half is not counted.
 const TRIAL: usize = 100;
 
-/// Every number and share for every scene. Where a scene has no more to make splats of, rows repeat the first splats of smaller numbers: only
-/// the first of these is trained.
+/// Every number and share for every scene. Where a scene has no more to make splats of, rows repeat
+/// the first splats of smaller numbers: only the first of these is trained.
 pub(super) fn curve(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     let mut rows = Vec::new();
     for scene in scenes {
         let mut done = Vec::new();
         for total in TOTALS {
-            for (share, density) in SHARES.map(|share| (share, false)).into_iter().chain([(EVEN, true)]) {
+            for (share, density) in SHARES
+                .map(|share| (share, false))
+                .into_iter()
+                .chain([(EVEN, true)])
+            {
                 let row = row(runs, scene, total, share, density, &done)?;
                 done.push(json!([row["first"], density]));
                 rows.push(row);
@@ -45,7 +51,14 @@ pub(super) fn curve(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     Ok(table(TABLE[0], TABLE[1], &rows))
 }
 
-fn row(runs: &mut Runs, scene: &Input, total: usize, share: f64, density: bool, done: &[Value]) -> Result<Value> {
+fn row(
+    runs: &mut Runs,
+    scene: &Input,
+    total: usize,
+    share: f64,
+    density: bool,
+    done: &[Value],
+) -> Result<Value> {
     let asked = format!("{total}k, {:.0} % static", 100.0 * share);
     let control = if density { "loss-guided" } else { "none" };
     let what = format!("curve {total}k {share} {control}");
@@ -81,7 +94,8 @@ fn row(runs: &mut Runs, scene: &Input, total: usize, share: f64, density: bool, 
     })
 }
 
-/// A training: its first and last events, and the processor seconds of all of it; outside the loop all cores count.
+/// A training: its first and last events, and the processor seconds of all of it; outside the loop
+/// all cores count.
 struct Trained {
     first: Value,
     last: Value,
@@ -90,7 +104,10 @@ struct Trained {
 
 impl Trained {
     fn splats(&self) -> u64 {
-        ["splats_static", "splats_dynamic"].iter().filter_map(|key| self.last[key].as_u64()).sum()
+        ["splats_static", "splats_dynamic"]
+            .iter()
+            .filter_map(|key| self.last[key].as_u64())
+            .sum()
     }
 
     /// Iterations that [`PROCESSOR_S`] allows, by what those after the first event took.
@@ -103,10 +120,20 @@ impl Trained {
     }
 }
 
-fn train(program: &Program, data: &Path, out: &Path, settings: &[String], iterations: usize) -> Result<Trained> {
+fn train(
+    program: &Program,
+    data: &Path,
+    out: &Path,
+    settings: &[String],
+    iterations: usize,
+) -> Result<Trained> {
     let iterations = iterations.to_string();
     program.run(|c| {
-        c.arg("train").arg(data).arg("-o").arg(out).args(["--iterations", &iterations]);
+        c.arg("train")
+            .arg(data)
+            .arg("-o")
+            .arg(out)
+            .args(["--iterations", &iterations]);
         settings.iter().for_each(|setting| {
             c.args(["--set", setting]);
         });
@@ -115,16 +142,29 @@ fn train(program: &Program, data: &Path, out: &Path, settings: &[String], iterat
     let (first, last) = first_and_last(&out.join("metrics.jsonl"))?;
     let seconds = |value: &Value| value["seconds"].as_f64().unwrap_or(0.0);
     let stage_s = seconds(&read(&out.join("run.json"))?["stages"]["train"]);
-    let processor_s = last["processor_seconds"].as_f64().unwrap_or(0.0) + CORES * (stage_s - seconds(&last));
-    Ok(Trained { first, last, processor_s })
+    let processor_s =
+        last["processor_seconds"].as_f64().unwrap_or(0.0) + CORES * (stage_s - seconds(&last));
+    Ok(Trained {
+        first,
+        last,
+        processor_s,
+    })
 }
 
 #[test]
 fn iterations_follow_from_the_trial() {
     let event = |iteration: usize, processor_seconds: f64| json!({"iteration": iteration, "processor_seconds": processor_seconds});
-    let trial = Trained { first: event(50, 5.0), last: event(100, 8.0), processor_s: 38.0 };
+    let trial = Trained {
+        first: event(50, 5.0),
+        last: event(100, 8.0),
+        processor_s: 38.0,
+    };
     // 30 s outside the loop, 60 ms an iteration
     assert_eq!(trial.affordable(), 1330);
-    let slow = Trained { first: event(50, 50.0), last: event(100, 90.0), processor_s: 200.0 };
+    let slow = Trained {
+        first: event(50, 50.0),
+        last: event(100, 90.0),
+        processor_s: 200.0,
+    };
     assert_eq!(slow.affordable(), TRIAL);
 }

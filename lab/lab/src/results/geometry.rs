@@ -19,15 +19,30 @@ pub(super) fn measured(runs: &mut Runs, scene: &Input) -> Result<Value> {
         let (out, images) = (capture(scene), scene.path.join("train"));
         let record = out.join("geometry.json");
         let clip = read(&scene.path.join("transforms_train.json"))?;
-        let fps = clip["fps"].as_f64().with_context(|| format!("{} has no frame rate", scene.path.display()))?;
+        let fps = clip["fps"]
+            .as_f64()
+            .with_context(|| format!("{} has no frame rate", scene.path.display()))?;
         program.run(|c| {
-            c.arg("geometry").arg(images).arg("-o").arg(&out).args(["--set", &format!("video.folder_fps={fps}")]);
+            c.arg("geometry")
+                .arg(images)
+                .arg("-o")
+                .arg(&out)
+                .args(["--set", &format!("video.folder_fps={fps}")]);
             c.args(["--segmenter", "none", "--quiet", continuing(&record)])
         })?;
-        let report = program.result(|c| c.arg("eval-geometry").arg(&out).arg("--truth").arg(&scene.path))?;
-        let mut row = json!({"scene": scene.name, "seconds": read(&record)?["seconds"], "report": report});
+        let report = program.result(|c| {
+            c.arg("eval-geometry")
+                .arg(&out)
+                .arg("--truth")
+                .arg(&scene.path)
+        })?;
+        let mut row =
+            json!({"scene": scene.name, "seconds": read(&record)?["seconds"], "report": report});
         for key in ["distance", "drift", "jitter", "relief", "missed"] {
-            row["objects"][key] = mean(list(&report["objects"]), key).as_f64().map(|share| 100.0 * share).into();
+            row["objects"][key] = mean(list(&report["objects"]), key)
+                .as_f64()
+                .map(|share| 100.0 * share)
+                .into();
         }
         Ok(row)
     })
@@ -53,8 +68,13 @@ const MOTION_TEMPLATES: &str = "{/scene} | {/carried/0/median_px 2} / {/carried/
 pub(super) fn motion(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     let row = |scene: &Input| {
         runs.of(scene, "motion", "motion", |program| {
-            let report = program
-                .result(|c| c.arg("eval-geometry").arg(&scene.path).arg("--truth").arg(&scene.path).arg("--motion"))?;
+            let report = program.result(|c| {
+                c.arg("eval-geometry")
+                    .arg(&scene.path)
+                    .arg("--truth")
+                    .arg(&scene.path)
+                    .arg("--motion")
+            })?;
             let mut row = report["motion"].clone();
             row["scene"] = scene.name.clone().into();
             let percent = |value: &Value| value.as_f64().map(|share| 100.0 * share);
@@ -72,24 +92,44 @@ pub(super) fn motion(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
     Ok(markdown(MOTION_HEADINGS, MOTION_TEMPLATES, &rows?))
 }
 
-/// Far views with one kind of estimate at a time replaced by the truth: a row per kind, a column per scene.
+/// Far views with one kind of estimate at a time replaced by the truth: a row per kind, a column
+/// per scene.
 pub(super) fn explained(runs: &mut Runs, scenes: &[Input]) -> Result<String> {
-    let (mut reports, mut headings, mut templates) = (Vec::new(), "what is true".to_owned(), "{/0/name}".to_owned());
+    let (mut reports, mut headings, mut templates) = (
+        Vec::new(),
+        "what is true".to_owned(),
+        "{/0/name}".to_owned(),
+    );
     for (i, scene) in scenes.iter().enumerate() {
         measured(runs, scene)?;
-        reports.push(runs.of(scene, "replacing estimates by the truth", "explain", |program| {
-            let result = program.result(|c| {
-                c.arg("eval-geometry").arg(capture(scene)).arg("--truth").arg(&scene.path);
-                c.args(["--explain", "--train", "200", "-o"]).arg(scene.dir.join("explain"))
-            })?;
-            Ok(list(&result["explain"]).filter(|row| row["set"] == "far").cloned().collect())
-        })?);
-        let cell = ["psnr_db", "masked_psnr_db", "static_psnr_db"].map(|key| format!("{{/{i}/trained/{key} 2}}"));
+        reports.push(runs.of(
+            scene,
+            "replacing estimates by the truth",
+            "explain",
+            |program| {
+                let result = program.result(|c| {
+                    c.arg("eval-geometry")
+                        .arg(capture(scene))
+                        .arg("--truth")
+                        .arg(&scene.path);
+                    c.args(["--explain", "--train", "200", "-o"])
+                        .arg(scene.dir.join("explain"))
+                })?;
+                Ok(list(&result["explain"])
+                    .filter(|row| row["set"] == "far")
+                    .cloned()
+                    .collect())
+            },
+        )?);
+        let cell = ["psnr_db", "masked_psnr_db", "static_psnr_db"]
+            .map(|key| format!("{{/{i}/trained/{key} 2}}"));
         headings += &format!(" | {}", scene.name);
         templates += &format!(" | {}", cell.join(" / "));
     }
     // the rows of all scenes have the same order
     let rows = reports.first().map_or(0, |first| list(first).count());
-    let rows: Vec<Value> = (0..rows).map(|i| reports.iter().map(|report| report[i].clone()).collect()).collect();
+    let rows: Vec<Value> = (0..rows)
+        .map(|i| reports.iter().map(|report| report[i].clone()).collect())
+        .collect();
     Ok(markdown(&headings, &templates, &rows))
 }

@@ -9,8 +9,10 @@ pub(super) fn table(runs: &mut Runs, machine: &[Input]) -> Result<String> {
     for machine in machine {
         let value = runs.of(machine, "kernels", "bench", |program| {
             let printed = program.run(|c| c.arg("bench"))?;
-            let table =
-                printed.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|'));
+            let table = printed
+                .lines()
+                .skip_while(|line| !line.starts_with('|'))
+                .take_while(|line| line.starts_with('|'));
             Ok(table.collect::<Vec<_>>().join("\n").into())
         })?;
         tables += value.as_str().unwrap_or_default();

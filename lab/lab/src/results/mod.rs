@@ -1,7 +1,8 @@
-//! `minute4d-lab results`: measures the tables of `docs/results.md` anew, and writes each into the page between its markers.
+//! `minute4d-lab results`: measures the tables of `docs/results.md` anew, and writes each into the
+//! page between its markers.
 //!
-//! Everything goes through the programs as a user would run them; figures are read from the files they leave (`run.json`, `geometry.json`,
-//! `eval.json`) or print (`eval-geometry`, `bench`).
+//! Everything goes through the programs as a user would run them; figures are read from the files
+//! they leave (`run.json`, `geometry.json`, `eval.json`) or print (`eval-geometry`, `bench`).
 
 mod clips;
 mod curve;
@@ -20,7 +21,8 @@ use std::path::{Path, PathBuf};
 /// The page, relative to the root.
 const PAGE: &str = "docs/results.md";
 
-/// What a section measures: the scenes of the command, the first of those that have held-out views, the clips, or the machine.
+/// What a section measures: the scenes of the command, the first of those that have held-out views,
+/// the clips, or the machine.
 enum Over {
     Scenes,
     Views(usize),
@@ -29,7 +31,11 @@ enum Over {
 }
 
 /// A section: its name, what it measures, and its tables of these inputs.
-type Section = (&'static str, Over, fn(&mut Runs, &[Input]) -> Result<String>);
+type Section = (
+    &'static str,
+    Over,
+    fn(&mut Runs, &[Input]) -> Result<String>,
+);
 
 /// In the order of the page.
 const SECTIONS: [Section; 8] = [
@@ -46,7 +52,8 @@ const SECTIONS: [Section; 8] = [
 /// What to measure.
 #[derive(Debug, Default, clap::Args)]
 pub struct Results {
-    /// Sections to measure: geometry, motion, views, ablation, curve, explain, clips, kernels [default: all]
+    /// Sections to measure: geometry, motion, views, ablation, curve, explain, clips, kernels
+    /// [default: all]
     #[arg(long, value_name = "SECTION,SECTION", value_delimiter = ',')]
     pub only: Vec<String>,
     /// Folder for runs, which the same command continues [default: target/results]
@@ -59,23 +66,35 @@ pub struct Results {
     pub scenes: Vec<PathBuf>,
 }
 
-/// Measures the sections of `wanted` and writes the page of the repository at `root` after each. What an earlier call finished at the
-/// same commit is not measured again.
+/// Measures the sections of `wanted` and writes the page of the repository at `root` after each.
+/// What an earlier call finished at the same commit is not measured again.
 ///
 /// # Errors
 ///
-/// Wrong arguments, changed files, a page without the markers, a program that fails, files that cannot be read or written.
+/// Wrong arguments, changed files, a page without the markers, a program that fails, files that
+/// cannot be read or written.
 pub fn run(root: &Path, wanted: &Results) -> Result<()> {
     let mut sections: Vec<&Section> = SECTIONS.iter().collect();
-    if let Some(word) = wanted.only.iter().find(|word| SECTIONS.iter().all(|s| s.0 != **word)) {
+    if let Some(word) = wanted
+        .only
+        .iter()
+        .find(|word| SECTIONS.iter().all(|s| s.0 != **word))
+    {
         bail!("{word} is no section: {}", SECTIONS.map(|s| s.0).join(", "));
     }
     if !wanted.only.is_empty() {
         sections.retain(|s| wanted.only.iter().any(|word| word == s.0));
     }
-    let work = wanted.work.clone().unwrap_or_else(|| root.join("target/results"));
+    let work = wanted
+        .work
+        .clone()
+        .unwrap_or_else(|| root.join("target/results"));
     let (folder, scenes) = (wanted.clips.clone(), wanted.scenes.clone());
-    if scenes.is_empty() && sections.iter().any(|s| matches!(s.1, Over::Scenes | Over::Views(_))) {
+    if scenes.is_empty()
+        && sections
+            .iter()
+            .any(|s| matches!(s.1, Over::Scenes | Over::Views(_)))
+    {
         bail!("no scene is named; without scenes: --only clips,kernels");
     }
     let origin = machine::origin(root)?;
@@ -100,23 +119,51 @@ pub fn run(root: &Path, wanted: &Results) -> Result<()> {
     for section in &sections {
         let tables = section.2(&mut runs, over(section))?;
         let words = match section.1 {
-            Over::Scenes | Over::Views(_) => over(section).iter().map(|scene| format!(" {}", scene.name)).collect(),
-            Over::Clips => folder.iter().map(|dir| format!(" --clips {}", name(dir))).collect(),
+            Over::Scenes | Over::Views(_) => over(section)
+                .iter()
+                .map(|scene| format!(" {}", scene.name))
+                .collect(),
+            Over::Clips => folder
+                .iter()
+                .map(|dir| format!(" --clips {}", name(dir)))
+                .collect(),
             Over::Machine => String::new(),
         };
         let date = std::mem::take(&mut runs.date);
-        let line = format!("*{date}, {origin}, `cargo lab results --only {}{words}`*", section.0);
-        page::write(&page, &page::replaced(&page, section.0, &format!("{line}\n\n{tables}"))?)?;
+        let line = format!(
+            "*{date}, {origin}, `cargo lab results --only {}{words}`*",
+            section.0
+        );
+        page::write(
+            &page,
+            &page::replaced(&page, section.0, &format!("{line}\n\n{tables}"))?,
+        )?;
     }
     Ok(())
 }
 
 #[test]
 fn wrong_arguments_are_refused() {
-    let only = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
-    for (words, scenes) in [(&["view"][..], vec!["a".into()]), (&["kernels", "views"], vec![]), (&[], vec![])] {
-        let wanted = Results { only: only(words), scenes, ..Results::default() };
+    let only = |words: &[&str]| {
+        words
+            .iter()
+            .map(|word| (*word).to_owned())
+            .collect::<Vec<_>>()
+    };
+    for (words, scenes) in [
+        (&["view"][..], vec!["a".into()]),
+        (&["kernels", "views"], vec![]),
+        (&[], vec![]),
+    ] {
+        let wanted = Results {
+            only: only(words),
+            scenes,
+            ..Results::default()
+        };
         let error = run(Path::new("nowhere"), &wanted).unwrap_err().to_string();
-        assert!(["section", "scene"].iter().any(|word| error.contains(word)), "{error}");
+        assert!(
+            ["section", "scene"].iter().any(|word| error.contains(word)),
+            "{error}"
+        );
     }
 }

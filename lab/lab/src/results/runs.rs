@@ -1,4 +1,5 @@
-//! Runs of the program, each kept with the machine and commit that it belongs to, so that a second call continues.
+//! Runs of the program, each kept with the machine and commit that it belongs to, so that a second
+//! call continues.
 
 use super::machine::{output, printed};
 use super::page;
@@ -22,7 +23,11 @@ pub(super) struct Input {
 pub(super) fn inputs(paths: Vec<PathBuf>, work: &Path) -> Result<Vec<Input>> {
     let mut names = BTreeSet::new();
     let input = |path: PathBuf| match name(&path) {
-        name if names.insert(name.clone()) => Ok(Input { dir: work.join(&name), name, path }),
+        name if names.insert(name.clone()) => Ok(Input {
+            dir: work.join(&name),
+            name,
+            path,
+        }),
         name => bail!("two inputs are named {name}"),
     };
     paths.into_iter().map(input).collect()
@@ -30,7 +35,10 @@ pub(super) fn inputs(paths: Vec<PathBuf>, work: &Path) -> Result<Vec<Input>> {
 
 /// The last part of a path, without an extension.
 pub(super) fn name(path: &Path) -> String {
-    path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+    path.file_stem()
+        .unwrap_or(path.as_os_str())
+        .to_string_lossy()
+        .into_owned()
 }
 
 /// The runs behind the tables. Until [`Runs::begin`] they are counted, and every value is null.
@@ -47,23 +55,38 @@ pub(super) struct Runs {
 
 impl Runs {
     pub(super) fn new(root: &Path, origin: &str) -> Self {
-        Self { root: root.to_owned(), origin: origin.to_owned(), ..Self::default() }
+        Self {
+            root: root.to_owned(),
+            origin: origin.to_owned(),
+            ..Self::default()
+        }
     }
 
     /// Builds the program; from now on runs are made.
     pub(super) fn begin(&mut self) -> Result<()> {
         let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
-        let args = ["build", "--release", "--package", "minute4d_lab", "--message-format=json"];
+        let args = [
+            "build",
+            "--release",
+            "--package",
+            "minute4d_lab",
+            "--message-format=json",
+        ];
         let messages = output(&self.root, &cargo, &args)?;
-        let mut messages = messages.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let mut messages = messages
+            .lines()
+            .filter_map(|line| serde_json::from_str::<Value>(line).ok());
         let path = messages.find_map(|m| m["executable"].as_str().map(PathBuf::from));
         self.program = Some(Program(path.context("cargo named no program")?));
         Ok(())
     }
 
-    /// What `measure` gives for an input, or gave in an earlier call at the same commit. `folder`, in that of the input, is what it makes;
-    /// one that was made at another commit is removed.
-    #[expect(clippy::print_stderr, reason = "progress of a command that takes hours")]
+    /// What `measure` gives for an input, or gave in an earlier call at the same commit. `folder`,
+    /// in that of the input, is what it makes; one that was made at another commit is removed.
+    #[expect(
+        clippy::print_stderr,
+        reason = "progress of a command that takes hours"
+    )]
     pub(super) fn of(
         &mut self,
         input: &Input,
@@ -71,7 +94,10 @@ impl Runs {
         folder: &str,
         measure: impl FnOnce(&Program) -> Result<Value>,
     ) -> Result<Value> {
-        let path = input.dir.join(format!("{}.json", what.replace(", ", "-").replace(' ', "-")));
+        let path = input.dir.join(format!(
+            "{}.json",
+            what.replace(", ", "-").replace(' ', "-")
+        ));
         let Some(program) = &self.program else {
             self.counted.insert(path);
             return Ok(Value::Null);
@@ -81,23 +107,34 @@ impl Runs {
         if record["key"] != key {
             let stale = input.dir.join(folder);
             if stale.exists() {
-                std::fs::remove_dir_all(&stale).with_context(|| format!("cannot remove {}", stale.display()))?;
+                std::fs::remove_dir_all(&stale)
+                    .with_context(|| format!("cannot remove {}", stale.display()))?;
             }
-            std::fs::create_dir_all(&input.dir).with_context(|| format!("cannot make {}", input.dir.display()))?;
+            std::fs::create_dir_all(&input.dir)
+                .with_context(|| format!("cannot make {}", input.dir.display()))?;
             record = json!({"key": key});
             page::write(&path, &record.to_string())?;
         }
         let kept = !record["value"].is_null();
         if self.seen.insert(path.clone()) {
             let note = if kept { " (kept)" } else { "" };
-            eprintln!("[{}/{}] {}: {what}{note}", self.seen.len(), self.counted.len(), input.name);
+            eprintln!(
+                "[{}/{}] {}: {what}{note}",
+                self.seen.len(),
+                self.counted.len(),
+                input.name
+            );
         }
         if !kept {
             record["value"] = measure(program)?;
             record["date"] = json!(output(&self.root, "date", &["-u", "+%F"])?.trim());
             page::write(&path, &record.to_string())?;
         }
-        self.date = record["date"].as_str().unwrap_or_default().max(&self.date).to_owned();
+        self.date = record["date"]
+            .as_str()
+            .unwrap_or_default()
+            .max(&self.date)
+            .to_owned();
         Ok(record["value"].take())
     }
 }
@@ -107,26 +144,44 @@ pub(super) struct Program(PathBuf);
 
 impl Program {
     /// What `minute4d` prints with the arguments that `arguments` adds.
-    pub(super) fn run(&self, arguments: impl FnOnce(&mut Command) -> &mut Command) -> Result<String> {
-        printed(arguments(Command::new(&self.0).arg(crate::program::MINUTE4D)))
+    pub(super) fn run(
+        &self,
+        arguments: impl FnOnce(&mut Command) -> &mut Command,
+    ) -> Result<String> {
+        printed(arguments(
+            Command::new(&self.0).arg(crate::program::MINUTE4D),
+        ))
     }
 
     /// The result among the events that the laboratory prints with `--json`.
-    pub(super) fn result(&self, arguments: impl FnOnce(&mut Command) -> &mut Command) -> Result<Value> {
+    pub(super) fn result(
+        &self,
+        arguments: impl FnOnce(&mut Command) -> &mut Command,
+    ) -> Result<Value> {
         let lines = printed(arguments(&mut Command::new(&self.0)).arg("--json"))?;
-        let mut events = lines.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
-        let event = events.find(|event| event["event"] == "result").context("the program printed no result")?;
+        let mut events = lines
+            .lines()
+            .filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let event = events
+            .find(|event| event["event"] == "result")
+            .context("the program printed no result")?;
         Ok(event["result"].clone())
     }
 }
 
-/// The option for a run that leaves `record`: to continue where there is one, which is of the same commit.
+/// The option for a run that leaves `record`: to continue where there is one, which is of the same
+/// commit.
 pub(super) fn continuing(record: &Path) -> &'static str {
-    if record.is_file() { "--resume" } else { "--force" }
+    if record.is_file() {
+        "--resume"
+    } else {
+        "--force"
+    }
 }
 
 /// A file of JSON.
 pub(super) fn read(path: &Path) -> Result<Value> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     serde_json::from_str(&text).with_context(|| format!("{} is not JSON", path.display()))
 }

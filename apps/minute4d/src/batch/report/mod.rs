@@ -108,19 +108,33 @@ impl Report {
         Self {
             jobs: clips.len(),
             counts,
-            seconds: clips.iter().filter(|c| c.state == ClipState::Done).filter_map(|c| c.seconds).sum(),
+            seconds: clips
+                .iter()
+                .filter(|c| c.state == ClipState::Done)
+                .filter_map(|c| c.seconds)
+                .sum(),
             clips,
         }
     }
 
     /// The table, for people: a line per clip, then the sums; `failed` for troubles alone.
     pub fn table(&self, failed: bool) -> String {
-        let width = self.clips.iter().map(|c| c.id.len()).max().unwrap_or(0).clamp(4, 40);
+        let width = self
+            .clips
+            .iter()
+            .map(|c| c.id.len())
+            .max()
+            .unwrap_or(0)
+            .clamp(4, 40);
         let mut text = format!(
             "{:<width$}  {:<9} {:>8} {:>9} {:>8} {:>8}  host, reason\n",
             "clip", "state", "seconds", "splats", "PSNR dB", "peak MB"
         );
-        for clip in self.clips.iter().filter(|c| !failed || c.state.is_trouble()) {
+        for clip in self
+            .clips
+            .iter()
+            .filter(|c| !failed || c.state.is_trouble())
+        {
             let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
             text += &format!(
                 "{:<width$}  {:<9} {:>8} {:>9} {:>8} {:>8}  {}\n",
@@ -130,7 +144,9 @@ impl Report {
                 or_dash(clip.splats.map(|n| n.to_string())),
                 or_dash(clip.psnr_db.map(|p| format!("{p:.2}"))),
                 or_dash(clip.peak_memory_bytes.map(|b| (b / 1_000_000).to_string())),
-                [&clip.host, &clip.reason].map(|text| text.as_deref().unwrap_or("-").replace('\n', " ")).join("  "),
+                [&clip.host, &clip.reason]
+                    .map(|text| text.as_deref().unwrap_or("-").replace('\n', " "))
+                    .join("  "),
             );
         }
         text += &format!("\n{}\n", self.sums());
@@ -138,7 +154,8 @@ impl Report {
     }
 
     fn sums(&self) -> String {
-        let counts = ClipState::ALL.map(|s| (s.name(), self.counts.get(s.name()).copied().unwrap_or(0)));
+        let counts =
+            ClipState::ALL.map(|s| (s.name(), self.counts.get(s.name()).copied().unwrap_or(0)));
         let counts = counts.iter().filter(|(_, n)| *n > 0);
         let counts: Vec<String> = counts.map(|(name, n)| format!("{n} {name}")).collect();
         format!("{} clips: {}", self.jobs, counts.join(", "))
@@ -158,8 +175,12 @@ fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, Error> {
     };
     let reason = match (state, &here) {
         (ClipState::Done, _) => None,
-        (_, Present::NotOurs) => Some("its folder exists and is not a result of `minute4d batch`".to_owned()),
-        (ClipState::Waiting, Present::Other) => Some("its result is of other settings, or damaged".to_owned()),
+        (_, Present::NotOurs) => {
+            Some("its folder exists and is not a result of `minute4d batch`".to_owned())
+        }
+        (ClipState::Waiting, Present::Other) => {
+            Some("its result is of other settings, or damaged".to_owned())
+        }
         _ => record.as_ref().map(|r| r.reason.clone()),
     };
     let mut clip = ClipReport {
@@ -211,8 +232,9 @@ pub fn page(report: &Report, title: &str) -> String {
 /// A template with what `value` says instead of each `{{name}}`.
 fn fill(template: &str, value: impl Fn(&str) -> String) -> String {
     let (mut text, mut rest) = (String::new(), template);
-    while let Some((before, (name, after))) =
-        rest.split_once("{{").and_then(|(before, after)| Some((before, after.split_once("}}")?)))
+    while let Some((before, (name, after))) = rest
+        .split_once("{{")
+        .and_then(|(before, after)| Some((before, after.split_once("}}")?)))
     {
         text += before;
         text += &value(name);
@@ -227,12 +249,18 @@ fn card(clip: &ClipReport) -> String {
         ("PSNR", clip.psnr_db.map(|p| format!("{p:.2} dB"))),
         ("splats", clip.splats.map(|n| n.to_string())),
         ("time", clip.seconds.map(|s| format!("{s:.1} s"))),
-        ("memory", clip.peak_memory_bytes.map(|b| format!("{} MB", b / 1_000_000))),
+        (
+            "memory",
+            clip.peak_memory_bytes
+                .map(|b| format!("{} MB", b / 1_000_000)),
+        ),
         ("machine", clip.host.clone()),
         ("reason", clip.reason.clone()),
         ("input", Some(clip.input.clone())),
     ];
-    let row = |(name, value): (&str, Option<String>)| Some(format!("<dt>{name}</dt><dd>{}</dd>", escape(&value?)));
+    let row = |(name, value): (&str, Option<String>)| {
+        Some(format!("<dt>{name}</dt><dd>{}</dd>", escape(&value?)))
+    };
     fill(include_str!("clip.html"), |name| match name {
         "image" => poster(clip).unwrap_or_else(|| format!("<div class=\"none\">{state}</div>")),
         "id" => escape(&clip.id),
@@ -247,7 +275,10 @@ fn poster(clip: &ClipReport) -> Option<String> {
     let done = clip.state == ClipState::Done;
     let bytes = done.then(|| files::read(&path, LARGEST).ok()).flatten()?;
     let alt = escape(&format!("a frame of {} and its re-render", clip.id));
-    Some(format!("<img alt=\"{alt}\" src=\"data:image/jpeg;base64,{}\">", STANDARD.encode(bytes)))
+    Some(format!(
+        "<img alt=\"{alt}\" src=\"data:image/jpeg;base64,{}\">",
+        STANDARD.encode(bytes)
+    ))
 }
 
 /// Text that means nothing but itself.
@@ -291,8 +322,18 @@ mod tests {
     fn status_counts_add_up_and_failures_have_reasons() {
         let clips = vec![
             clip("a", ClipState::Done, None, "/r/a"),
-            clip("b7", ClipState::Failed, Some("/clips/b7.mp4 is empty"), "/r/b7"),
-            clip("c9", ClipState::Failed, Some("/clips/c9.mp4 is empty"), "/r/c9"),
+            clip(
+                "b7",
+                ClipState::Failed,
+                Some("/clips/b7.mp4 is empty"),
+                "/r/b7",
+            ),
+            clip(
+                "c9",
+                ClipState::Failed,
+                Some("/clips/c9.mp4 is empty"),
+                "/r/c9",
+            ),
             clip("d", ClipState::Waiting, None, "/r/d"),
         ];
         let report = Report::of(clips);
@@ -306,7 +347,10 @@ mod tests {
             "{table}"
         );
         let troubles = report.table(true);
-        assert!(troubles.lines().any(|l| l.starts_with("b7")) && !troubles.lines().any(|l| l.starts_with("a ")));
+        assert!(
+            troubles.lines().any(|l| l.starts_with("b7"))
+                && !troubles.lines().any(|l| l.starts_with("a "))
+        );
     }
 
     #[test]
@@ -316,13 +360,23 @@ mod tests {
         let output = dir.path().to_str().unwrap();
         let clips = vec![
             clip("a", ClipState::Done, None, output),
-            clip("b", ClipState::Failed, Some("<script>alert('{{id}}')</script>"), output),
+            clip(
+                "b",
+                ClipState::Failed,
+                Some("<script>alert('{{id}}')</script>"),
+                output,
+            ),
         ];
         let page = page(&Report::of(clips), "my \"clips\" {{clips}}");
         assert_eq!(page.matches("data:image/jpeg;base64,/9j/").count(), 1);
-        assert!(!page.contains("<script") && page.contains("&lt;script&gt;alert(&#39;{{id}}&#39;)"), "{page}");
         assert!(
-            page.contains("my &quot;clips&quot; {{clips}}") && page.contains("h&lt;1&gt;") && page.contains("30.12 dB")
+            !page.contains("<script") && page.contains("&lt;script&gt;alert(&#39;{{id}}&#39;)"),
+            "{page}"
+        );
+        assert!(
+            page.contains("my &quot;clips&quot; {{clips}}")
+                && page.contains("h&lt;1&gt;")
+                && page.contains("30.12 dB")
         );
         assert!(!page.contains("http"), "it loads nothing");
     }

@@ -25,8 +25,9 @@ pub(crate) struct CaptureFolder<'a> {
 }
 
 impl<'a> CaptureFolder<'a> {
-    /// Creates or reuses the folder for the stage that `record` describes. Fails if it is in use, contains something else, or cannot be
-    /// written, and where the stage would replace one of its `inputs`.
+    /// Creates or reuses the folder for the stage that `record` describes. Fails if it is in use,
+    /// contains something else, or cannot be written, and where the stage would replace one of its
+    /// `inputs`.
     pub fn open(
         path: &Path,
         existing: Existing,
@@ -39,23 +40,43 @@ impl<'a> CaptureFolder<'a> {
         results.check_inputs(names(), inputs)?;
         let earlier = GeometryRecord::read(path)?;
         let is_complete = path.join(Split::Train.file_name()).is_file();
-        let replaces = is_complete && earlier.as_ref().is_some_and(|earlier| earlier.status == Status::Finished);
+        let replaces = is_complete
+            && earlier
+                .as_ref()
+                .is_some_and(|earlier| earlier.status == Status::Finished);
         let nothing = !is_complete && !StepFolder::exist(path);
-        let what = || if is_complete { "a capture" } else { "finished steps of a capture" }.to_owned();
+        let what = || {
+            if is_complete {
+                "a capture"
+            } else {
+                "finished steps of a capture"
+            }
+            .to_owned()
+        };
         let earlier = take_over(&results, existing, earlier, nothing, what, GEOMETRY_FILE)?;
         results.check_free(names())?;
         remove_half_written(path, &[GEOMETRY_FILE])?;
-        Ok(Self { record, earlier, replaces, observer, results })
+        Ok(Self {
+            record,
+            earlier,
+            replaces,
+            observer,
+            results,
+        })
     }
 
-    /// The folder that the stage writes the capture into, which gets its place with the end of the stage.
+    /// The folder that the stage writes the capture into, which gets its place with the end of the
+    /// stage.
     pub fn next(&self) -> PathBuf {
         self.results.next()
     }
 
     /// Returns the record of an earlier run whose result is complete and has the same key.
     pub fn reused(&self, stage: &str) -> Option<GeometryRecord> {
-        let earlier = self.earlier.as_ref().filter(|earlier| self.is_result(earlier))?;
+        let earlier = self
+            .earlier
+            .as_ref()
+            .filter(|earlier| self.is_result(earlier))?;
         self.observer.stage(stage, StageEvent::Reused);
         Some(earlier.clone())
     }
@@ -67,20 +88,33 @@ impl<'a> CaptureFolder<'a> {
             && self.results.path().join(Split::Train.file_name()).is_file()
     }
 
-    /// Runs the stage, which writes the capture. Finished steps of an interrupted attempt are used, and removed with the last one.
+    /// Runs the stage, which writes the capture. Finished steps of an interrupted attempt are used,
+    /// and removed with the last one.
     pub fn stage<R>(
         &mut self,
         stage: &'static str,
         work: impl FnOnce(&mut Self, Steps<'_>) -> Result<R, Error>,
     ) -> Result<R, Error> {
-        let outdated = self.earlier.as_ref().filter(|earlier| !self.is_result(earlier));
+        let outdated = self
+            .earlier
+            .as_ref()
+            .filter(|earlier| !self.is_result(earlier));
         let because = outdated.map(|earlier| why_again(earlier, &self.record));
         let path = self.results.path().to_path_buf();
-        let outcome = stage::run(self, stage, because, |folder, recorder: &RecordingObserver<'_>| {
-            let cache = StepFolder::open(&path, &folder.record.key, recorder);
-            work(folder, Steps::new(recorder, Some(&cache)))
-        });
-        if outcome.as_ref().err().is_none_or(|error| !error.is_stop() && !error.may_pass()) {
+        let outcome = stage::run(
+            self,
+            stage,
+            because,
+            |folder, recorder: &RecordingObserver<'_>| {
+                let cache = StepFolder::open(&path, &folder.record.key, recorder);
+                work(folder, Steps::new(recorder, Some(&cache)))
+            },
+        );
+        if outcome
+            .as_ref()
+            .err()
+            .is_none_or(|error| !error.is_stop() && !error.may_pass())
+        {
             StepFolder::remove_from(&path);
         }
         outcome
@@ -116,7 +150,11 @@ impl<'a> StageFolder<'a> for CaptureFolder<'a> {
             return Ok(());
         }
         self.results.discard()?;
-        if self.replaces { Ok(()) } else { self.record.write(self.results.path()) }
+        if self.replaces {
+            Ok(())
+        } else {
+            self.record.write(self.results.path())
+        }
     }
 }
 

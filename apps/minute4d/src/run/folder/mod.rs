@@ -1,7 +1,8 @@
-//! The folders of a run and of a capture: the names of their files, which of them may be replaced, and the stage that writes a capture.
+//! The folders of a run and of a capture: the names of their files, which of them may be replaced,
+//! and the stage that writes a capture.
 //!
-//! [`m4_io::results`] says which files are ours. New results are made beside finished ones, which are whole until the new ones are:
-//! `run` for runs, `capture` for captures.
+//! [`m4_io::results`] says which files are ours. New results are made beside finished ones, which
+//! are whole until the new ones are: `run` for runs, `capture` for captures.
 
 mod capture;
 mod run;
@@ -31,7 +32,10 @@ fn remove_half_written(folder: &Path, names: &[&str]) -> Result<(), Error> {
 
 /// Returns the hidden files of a folder; empty if the folder is missing.
 fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
-    let failed = |source| Error::Read { path: folder.to_path_buf(), source };
+    let failed = |source| Error::Read {
+        path: folder.to_path_buf(),
+        source,
+    };
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(failed)?,
@@ -47,8 +51,9 @@ fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
     Ok(files)
 }
 
-/// The record of an earlier run or capture to resume; `None` to replace it. One with `nothing` worth keeping is replaced. What the folder
-/// contains and the file that is `missing` without a record are for the messages.
+/// The record of an earlier run or capture to resume; `None` to replace it. One with `nothing`
+/// worth keeping is replaced. What the folder contains and the file that is `missing` without a
+/// record are for the messages.
 fn take_over<R>(
     results: &ResultFolder,
     existing: Existing,
@@ -70,7 +75,9 @@ fn take_over<R>(
 
 /// Returns the file of the checkpoint after this many iterations.
 pub(crate) fn checkpoint_file(folder: &Path, iteration: usize) -> PathBuf {
-    folder.join(CHECKPOINT_FOLDER).join(format!("{iteration:07}.safetensors"))
+    folder
+        .join(CHECKPOINT_FOLDER)
+        .join(format!("{iteration:07}.safetensors"))
 }
 
 /// Returns the checkpoints of a run and their iterations, oldest first.
@@ -81,7 +88,12 @@ pub(crate) fn checkpoints(folder: &Path) -> Vec<(usize, PathBuf)> {
     let mut found: Vec<(usize, PathBuf)> = entries
         .filter_map(|entry| {
             let path = entry.ok()?.path();
-            let iteration = path.file_name()?.to_str()?.strip_suffix(".safetensors")?.parse().ok()?;
+            let iteration = path
+                .file_name()?
+                .to_str()?
+                .strip_suffix(".safetensors")?
+                .parse()
+                .ok()?;
             Some((iteration, path))
         })
         .collect();

@@ -7,19 +7,27 @@ use m4_io::capture::Split;
 use m4_io::results::{Kind, ResultFolder};
 use minute4d::Error;
 use minute4d::layout::{
-    CAPTURE_FOLDER, CHECKPOINT_FOLDER, EVAL_FILE, Existing, METRICS_FILE, POSTER_FILE, PREVIEW_FILE, SCENE_FILE,
-    VIEWER_FILE, is_capture, remove_file,
+    CAPTURE_FOLDER, CHECKPOINT_FOLDER, EVAL_FILE, Existing, METRICS_FILE, POSTER_FILE,
+    PREVIEW_FILE, SCENE_FILE, VIEWER_FILE, is_capture, remove_file,
 };
 use std::path::{Path, PathBuf};
 
 /// The files that a run writes into its folder, its record first.
-const FILES: [&str; 7] = [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE, EVAL_FILE, POSTER_FILE];
+const FILES: [&str; 7] = [
+    RUN_FILE,
+    SCENE_FILE,
+    METRICS_FILE,
+    PREVIEW_FILE,
+    VIEWER_FILE,
+    EVAL_FILE,
+    POSTER_FILE,
+];
 /// The folders, in the form of a list of results.
 const CHECKPOINTS: &str = "checkpoints/";
 const CAPTURE: &str = "capture/";
 
-/// The folder of a run. Where it contains a scene, the run works in a folder beside it, and the old scene, capture and record stay as
-/// they are until the run is complete.
+/// The folder of a run. Where it contains a scene, the run works in a folder beside it, and the old
+/// scene, capture and record stay as they are until the run is complete.
 pub(crate) struct RunFolder {
     results: ResultFolder,
     /// Where the run works.
@@ -30,12 +38,14 @@ pub(crate) struct RunFolder {
 }
 
 impl RunFolder {
-    /// Creates or reuses the folder of the run that `record` describes, and locks it. Returns the record of an earlier run to resume.
+    /// Creates or reuses the folder of the run that `record` describes, and locks it. Returns the
+    /// record of an earlier run to resume.
     ///
     /// # Errors
     ///
-    /// [`Error`] for a file of that name, a folder with other things in it, an unexpected earlier run, or one that is running, and where
-    /// the run would replace one of its `inputs`. A capture of an earlier run that is the input is kept.
+    /// [`Error`] for a file of that name, a folder with other things in it, an unexpected earlier
+    /// run, or one that is running, and where the run would replace one of its `inputs`. A capture
+    /// of an earlier run that is the input is kept.
     pub fn open(
         path: &Path,
         existing: Existing,
@@ -43,27 +53,42 @@ impl RunFolder {
         inputs: &[&Path],
     ) -> Result<(Self, Option<RunRecord>), Error> {
         let mut results = ResultFolder::open(path, Kind::Run)?;
-        let is_input = results.check_inputs([CAPTURE_FOLDER], inputs).is_err() && is_capture(inputs[0]);
-        let names = || FILES.into_iter().chain([CHECKPOINTS]).chain((!is_input).then_some(CAPTURE));
+        let is_input =
+            results.check_inputs([CAPTURE_FOLDER], inputs).is_err() && is_capture(inputs[0]);
+        let names = || {
+            FILES
+                .into_iter()
+                .chain([CHECKPOINTS])
+                .chain((!is_input).then_some(CAPTURE))
+        };
         results.check_inputs(names(), inputs)?;
         if !is_capture(inputs[0]) {
             results.check_not_itself(inputs)?;
         }
         let old = RunRecord::read(path)?;
-        let replaces = old.as_ref().is_some_and(|old| old.files.contains_key(SCENE_FILE));
-        let nothing = old.as_ref().is_some_and(|old| old.status == Status::Failed) && contents(path).is_empty();
+        let replaces = old
+            .as_ref()
+            .is_some_and(|old| old.files.contains_key(SCENE_FILE));
+        let nothing = old.as_ref().is_some_and(|old| old.status == Status::Failed)
+            && contents(path).is_empty();
         let what = || match &old {
             Some(old) if old.status == Status::Finished => "a finished run".to_owned(),
             _ => format!("an unfinished run ({})", contents(path).join(", ")),
         };
         let mut earlier = take_over(&results, existing, old.clone(), nothing, what, RUN_FILE)?;
         results.check_free(names())?;
-        let work = if replaces { results.next() } else { path.to_path_buf() };
+        let work = if replaces {
+            results.next()
+        } else {
+            path.to_path_buf()
+        };
         if replaces {
             // What a killed process left of those before the scene.
             remove_checkpoints(path)?;
             let begun = RunRecord::read(&work)?;
-            let same = |old: &RunRecord| old.settings == record.settings && old.input.blake3 == record.input.blake3;
+            let same = |old: &RunRecord| {
+                old.settings == record.settings && old.input.blake3 == record.input.blake3
+            };
             if earlier.is_none() {
                 results.begin()?;
             } else if begun.is_none() || old.as_ref().is_some_and(same) {
@@ -87,7 +112,15 @@ impl RunFolder {
             remove_file(&file)?;
         }
         let kept = is_input.then_some(CAPTURE_FOLDER);
-        Ok((Self { results, work, replaces, kept }, earlier))
+        Ok((
+            Self {
+                results,
+                work,
+                replaces,
+                kept,
+            },
+            earlier,
+        ))
     }
 
     /// Where the run works.
@@ -122,7 +155,10 @@ fn contents(folder: &Path) -> Vec<String> {
     }
     let saved = checkpoints(folder).len();
     if saved > 0 {
-        all.push(format!("{saved} checkpoint{}", if saved == 1 { "" } else { "s" }));
+        all.push(format!(
+            "{saved} checkpoint{}",
+            if saved == 1 { "" } else { "s" }
+        ));
     }
     if folder.join(SCENE_FILE).is_file() {
         all.push("a scene".to_owned());

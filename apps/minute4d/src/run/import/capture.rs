@@ -59,29 +59,63 @@ pub(super) fn make(
 ) -> Result<CaptureReport, Error> {
     let start = Instant::now();
     let keeper = RecordingObserver::new(observer);
-    let options = ImportOptions { max_memory_bytes: Settings::fast().capture.max_memory_bytes, ..job.options.clone() };
+    let options = ImportOptions {
+        max_memory_bytes: Settings::fast().capture.max_memory_bytes,
+        ..job.options.clone()
+    };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     if format == SourceFormat::Megasam {
         check_megasam(&options)?;
     }
     let imported = m4_io::dataset::read(file, format, &options, &keeper).map_err(source_stopped)?;
-    let settings = plain_json(&Part { import: &options, format })?;
-    let input = Input { path: file.display().to_string(), blake3: hash::of_input(file, None, observer)? };
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
+    let settings = plain_json(&Part {
+        import: &options,
+        format,
+    })?;
+    let input = Input {
+        path: file.display().to_string(),
+        blake3: hash::of_input(file, None, observer)?,
+    };
+    let key = hash::of_parts(&[
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        &input.blake3,
+        &settings.to_string(),
+    ]);
     let mut record = GeometryRecord::begin(input, key, settings);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
-    let beside = [options.images.as_deref(), options.depth.as_deref(), options.masks.as_deref()];
-    let inputs: Vec<&Path> = [file].into_iter().chain(beside.into_iter().flatten()).collect();
+    let beside = [
+        options.images.as_deref(),
+        options.depth.as_deref(),
+        options.masks.as_deref(),
+    ];
+    let inputs: Vec<&Path> = [file]
+        .into_iter()
+        .chain(beside.into_iter().flatten())
+        .collect();
     let mut folder = CaptureFolder::open(out, job.existing, record, &inputs, observer)?;
     folder.stage(STAGE, |folder, steps| {
-        write(&folder.next(), &imported, (file, format), options.factor, steps.observer())
+        write(
+            &folder.next(),
+            &imported,
+            (file, format),
+            options.factor,
+            steps.observer(),
+        )
     })?;
     let held_out = imported.test.as_ref().map_or(0, |test| test.frames.len());
-    Ok(report(format, out, &imported.train, held_out, folder.record.seconds))
+    Ok(report(
+        format,
+        out,
+        &imported.train,
+        held_out,
+        folder.record.seconds,
+    ))
 }
 
-/// Writes the held-out views with the masks of co-visibility that their data set publishes, then the frames.
+/// Writes the held-out views with the masks of co-visibility that their data set publishes, then
+/// the frames.
 pub fn write(
     out: &Path,
     imported: &Imported,
@@ -104,7 +138,12 @@ pub fn write(
             }
         }
     }
-    Ok(capture::write(out, &imported.train, Split::Train, observer)?)
+    Ok(capture::write(
+        out,
+        &imported.train,
+        Split::Train,
+        observer,
+    )?)
 }
 
 /// Refuses options of what the files of MegaSaM hold themselves.
@@ -118,7 +157,9 @@ fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
     match beside.into_iter().find(|(_, is_given)| *is_given) {
         Some((option, _)) => {
             let format = SourceFormat::Megasam.name();
-            Err(Refusal::usage(format!("{option} has no meaning for {format}, which has its own; leave it out")))
+            Err(Refusal::usage(format!(
+                "{option} has no meaning for {format}, which has its own; leave it out"
+            )))
         }
         None => Ok(()),
     }
@@ -126,17 +167,31 @@ fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
 
 fn source_stopped(error: ReadError) -> Error {
     match error.kind() {
-        ErrorKind::Cancelled => Error::Stopped { stage: STAGE, saved: false },
+        ErrorKind::Cancelled => Error::Stopped {
+            stage: STAGE,
+            saved: false,
+        },
         _ => error.into(),
     }
 }
 
-fn report(format: SourceFormat, out: &Path, capture: &Capture, held_out: usize, seconds: f64) -> CaptureReport {
+fn report(
+    format: SourceFormat,
+    out: &Path,
+    capture: &Capture,
+    held_out: usize,
+    seconds: f64,
+) -> CaptureReport {
     let frames = &capture.frames;
     let lens = frames.first().map(|f| f.camera.intrinsics);
     let size = lens.map_or([0, 0], |k| [k.width, k.height]);
     let pixels = (frames.len() * size[0] * size[1]).max(1) as f64;
-    let known = frames.iter().filter_map(|f| f.depth.as_ref()).flat_map(|d| d.every(1)).filter(|z| *z > 0.0).count();
+    let known = frames
+        .iter()
+        .filter_map(|f| f.depth.as_ref())
+        .flat_map(|d| d.every(1))
+        .filter(|z| *z > 0.0)
+        .count();
     let masks = || frames.iter().filter_map(|f| f.mask.as_ref());
     let moving: usize = masks().map(CompactMask::count).sum();
     CaptureReport {
@@ -153,9 +208,14 @@ fn report(format: SourceFormat, out: &Path, capture: &Capture, held_out: usize, 
     }
 }
 
-/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its image. Files that
-/// do not exist are passed over; says how many were copied.
-fn copy_covisible(capture: &Path, views: &Capture, from: impl Fn(&str) -> PathBuf) -> Result<usize, Error> {
+/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the
+/// capture is that of its image. Files that do not exist are passed over; says how many were
+/// copied.
+fn copy_covisible(
+    capture: &Path,
+    views: &Capture,
+    from: impl Fn(&str) -> PathBuf,
+) -> Result<usize, Error> {
     let folder = capture.join(COVISIBLE_FOLDER);
     let mut copied = 0;
     for (i, view) in views.frames.iter().enumerate() {
@@ -165,7 +225,10 @@ fn copy_covisible(capture: &Path, views: &Capture, from: impl Fn(&str) -> PathBu
         }
         let mask = read_mask(&source)?.to_mask();
         if copied == 0 {
-            fs::create_dir_all(&folder).map_err(|source| Error::Write { path: folder.clone(), source })?;
+            fs::create_dir_all(&folder).map_err(|source| Error::Write {
+                path: folder.clone(),
+                source,
+            })?;
         }
         write_mask(&folder.join(format!("{i:05}.png")), &mask)?;
         copied += 1;

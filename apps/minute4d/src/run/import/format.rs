@@ -1,4 +1,5 @@
-//! The import formats (splats as a scene, clips with poses as a capture), and default cameras for a scene without any.
+//! The import formats (splats as a scene, clips with poses as a capture), and default cameras for a
+//! scene without any.
 
 use m4_core::nalgebra::{Matrix3, Vector3};
 use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, Splats};
@@ -33,11 +34,14 @@ impl ImportFormat {
     /// Everything that can be imported, the names in one line.
     pub fn names() -> String {
         let scenes = SCENES.into_iter().map(Format::name);
-        let all: Vec<&str> = scenes.chain(SourceFormat::all().map(SourceFormat::name)).collect();
+        let all: Vec<&str> = scenes
+            .chain(SourceFormat::all().map(SourceFormat::name))
+            .collect();
         all.join(", ")
     }
 
-    /// The format of what is at `path`: the one asked for, or the one that its name and first bytes say.
+    /// The format of what is at `path`: the one asked for, or the one that its name and first bytes
+    /// say.
     ///
     /// # Errors
     ///
@@ -77,9 +81,15 @@ impl ImportFormat {
         }
         let format = Format::of_path(path).ok_or_else(|| {
             let (path, known) = (path.display(), Self::names());
-            Refusal::usage(format!("the format of {path} is not recognised by its name; add --format, one of {known}"))
+            Refusal::usage(format!(
+                "the format of {path} is not recognised by its name; add --format, one of {known}"
+            ))
         })?;
-        if SCENES.contains(&format) { Ok(Self::Scene(format)) } else { Err(write_only(format)) }
+        if SCENES.contains(&format) {
+            Ok(Self::Scene(format))
+        } else {
+            Err(write_only(format))
+        }
     }
 }
 
@@ -103,7 +113,9 @@ impl FromStr for ImportFormat {
         Err(written.map_or_else(
             || {
                 let known = Self::names();
-                Refusal::usage(format!("no format is called {text}; these can be imported: {known}"))
+                Refusal::usage(format!(
+                    "no format is called {text}; these can be imported: {known}"
+                ))
             },
             write_only,
         ))
@@ -119,13 +131,17 @@ const STILL_FRAMES: usize = 60;
 /// Up where the file does not say, as in scenes of COLMAP and 3DGS: y points down.
 const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
-/// Puts a row of cameras, one per frame, in front of the middle of the splats, swinging to both sides. A scene of
-/// a single frame gets 60, so that there is something to play.
+/// Puts a row of cameras, one per frame, in front of the middle of the splats, swinging to both
+/// sides. A scene of a single frame gets 60, so that there is something to play.
 pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
     let (middle, radius) = extent(&scene.splats);
     let down = -Vector3::from(up.unwrap_or(UP));
     // Forward is z where that is level, as in a world of a first camera.
-    let across = if down.z.abs() < 0.9 { Vector3::z() } else { Vector3::y() };
+    let across = if down.z.abs() < 0.9 {
+        Vector3::z()
+    } else {
+        Vector3::y()
+    };
     let forward = (across - down * down.dot(&across)).normalize();
     let right = down.cross(&forward);
     let (width, height) = SIZE_PX;
@@ -134,7 +150,10 @@ pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
     let distance = radius * 2.0 * focal / width.min(height) as f64;
     let camera = Camera {
         intrinsics: Intrinsics::centred(width, height, focal),
-        c2w: Se3 { rotation: Matrix3::from_columns(&[right, down, forward]), translation: middle - forward * distance },
+        c2w: Se3 {
+            rotation: Matrix3::from_columns(&[right, down, forward]),
+            translation: middle - forward * distance,
+        },
     };
     if scene.time_frames < 2 {
         scene.time_frames = STILL_FRAMES;
@@ -144,7 +163,11 @@ pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
     scene.source = cameras
         .into_iter()
         .enumerate()
-        .map(|(i, camera)| SourceFrame { camera, t: i as f64, exposure: Exposure::IDENTITY })
+        .map(|(i, camera)| SourceFrame {
+            camera,
+            t: i as f64,
+            exposure: Exposure::IDENTITY,
+        })
         .collect();
     // Nothing of the scene is nearer than a thousandth of the way to it.
     scene.near = scene.near.min((1e-3 * distance) as f32);
@@ -156,15 +179,33 @@ fn extent(splats: &Splats) -> (Vector3<f64>, f64) {
     let columns: [&[f32]; 3] = std::array::from_fn(|k| splats.column(Column::Mean, k));
     let nth = |mut values: Vec<f64>, share: f64| {
         let at = ((n as f64 * share) as usize).min(n.saturating_sub(1));
-        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(at, f64::total_cmp).1 }
+        if values.is_empty() {
+            0.0
+        } else {
+            *values.select_nth_unstable_by(at, f64::total_cmp).1
+        }
     };
     let median = |k: usize| nth(columns[k].iter().map(|&v| f64::from(v)).collect(), 0.5);
     let middle = Vector3::new(median(0), median(1), median(2));
     let distance = |i: usize| (Vector3::from_fn(|k, _| f64::from(columns[k][i])) - middle).norm();
     let radius = nth((0..n).map(distance).collect(), SHARE);
-    let largest = f64::from(splats.column(Column::LogScale, 0).first().copied().unwrap_or(0.0)).exp();
+    let largest = f64::from(
+        splats
+            .column(Column::LogScale, 0)
+            .first()
+            .copied()
+            .unwrap_or(0.0),
+    )
+    .exp();
     // One splat, or many in one place: as large as it is.
-    (middle, if radius > 0.0 { radius } else { largest.clamp(1e-6, 1e6) })
+    (
+        middle,
+        if radius > 0.0 {
+            radius
+        } else {
+            largest.clamp(1e-6, 1e6)
+        },
+    )
 }
 
 #[cfg(test)]
@@ -190,12 +231,28 @@ mod tests {
         assert_eq!(colmap, ImportFormat::Source(SourceFormat::Colmap));
         let ply: ImportFormat = "ply".parse().unwrap();
         assert_eq!(ply, ImportFormat::Scene(Format::Ply));
-        assert!("spz".parse::<ImportFormat>().unwrap_err().to_string().contains("cannot be imported"));
-        assert!("obj".parse::<ImportFormat>().unwrap_err().to_string().contains("colmap"));
+        assert!(
+            "spz"
+                .parse::<ImportFormat>()
+                .unwrap_err()
+                .to_string()
+                .contains("cannot be imported")
+        );
+        assert!(
+            "obj"
+                .parse::<ImportFormat>()
+                .unwrap_err()
+                .to_string()
+                .contains("colmap")
+        );
     }
 
     fn scene(means: &[[f32; 3]]) -> Scene {
-        let layout = SplatLayout { isotropic: false, sh_degree: 0, time_degree: 0 };
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
         let mut splats = Splats::zeros(layout, means.len(), 0);
         for (i, mean) in means.iter().enumerate() {
             for k in 0..3 {
@@ -208,8 +265,13 @@ mod tests {
     #[test]
     fn the_centre_of_the_scene_projects_to_the_centre_of_every_image() {
         for up in [None, Some([0.0, 1.0, 0.0]), Some([0.0, 0.0, 1.0])] {
-            let mut scene =
-                scene(&[[4.0, 1.0, 0.0], [6.0, 1.0, 0.0], [5.0, 2.0, 0.0], [5.0, 0.0, 0.0], [5.0, 1.0, 1.0]]);
+            let mut scene = scene(&[
+                [4.0, 1.0, 0.0],
+                [6.0, 1.0, 0.0],
+                [5.0, 2.0, 0.0],
+                [5.0, 0.0, 0.0],
+                [5.0, 1.0, 1.0],
+            ]);
             default_cameras(&mut scene, up);
             assert_eq!((scene.source.len(), scene.time_frames), (60, 60));
             for frame in &scene.source {

@@ -1,5 +1,5 @@
-//! Imports files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; clips with poses as a capture,
-//! which can be trained.
+//! Imports files of other tools: splats as the folder of a run, which can be rendered, viewed and
+//! exported; clips with poses as a capture, which can be trained.
 //!
 //! ```text
 //! format   detection                       read      splats -> Scene
@@ -60,22 +60,31 @@ pub enum Report {
     Capture(Box<CaptureReport>),
 }
 
-/// Imports a file or folder into the folder `out`: splats as a scene, posed clips as a capture. A scene without
-/// cameras gets some that look at its middle.
+/// Imports a file or folder into the folder `out`: splats as a scene, posed clips as a capture. A
+/// scene without cameras gets some that look at its middle.
 ///
 /// # Errors
 ///
 /// [`Error`]: the file cannot be read or is of no known format, options and format do not go together, or the folder
 /// cannot be used.
-pub fn make(file: &Path, out: &Path, job: &ImportJob, observer: &dyn Observer) -> Result<Report, Error> {
+pub fn make(
+    file: &Path,
+    out: &Path,
+    job: &ImportJob,
+    observer: &dyn Observer,
+) -> Result<Report, Error> {
     if !file.exists() {
-        return Err(Error::Missing { what: "file to import", path: file.to_path_buf() });
+        return Err(Error::Missing {
+            what: "file to import",
+            path: file.to_path_buf(),
+        });
     }
     let format = ImportFormat::of(file, job.format)?;
     let splats = match format {
         ImportFormat::Scene(format) => format,
         ImportFormat::Source(source) => {
-            return capture::make(file, out, source, job, observer).map(|report| Report::Capture(Box::new(report)));
+            return capture::make(file, out, source, job, observer)
+                .map(|report| Report::Capture(Box::new(report)));
         }
     };
     if let Some(option) = job.of_captures() {
@@ -96,10 +105,18 @@ fn scene(
     existing: Existing,
     observer: &dyn Observer,
 ) -> Result<ImportReport, Error> {
-    let job =
-        Job { settings: Settings::fast(), device: minute4d::device::DeviceRequest::default(), existing, observer };
+    let job = Job {
+        settings: Settings::fast(),
+        device: minute4d::device::DeviceRequest::default(),
+        existing,
+        observer,
+    };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
-    let Imported { mut scene, up, losses } = read(format, file)?;
+    let Imported {
+        mut scene,
+        up,
+        losses,
+    } = read(format, file)?;
     if scene.splats.n() == 0 {
         return Err(Refusal::bad_input(format!("{} contains no splats", file.display())).into());
     }
@@ -107,11 +124,23 @@ fn scene(
     if cameras == 0 {
         default_cameras(&mut scene, up);
     }
-    let input = Input { path: file.display().to_string(), blake3: hash::of_input(file, None, observer)? };
-    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, format.name()]);
-    let record: RunRecord = Workspace::open(out, file, input, &job, Clock::start(&job.settings))?.finish(|run| {
+    let input = Input {
+        path: file.display().to_string(),
+        blake3: hash::of_input(file, None, observer)?,
+    };
+    let key = hash::of_parts(&[
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        &input.blake3,
+        format.name(),
+    ]);
+    let record: RunRecord = Workspace::open(out, file, input, &job, Clock::start(&job.settings))?
+        .finish(|run| {
         run.record.profile = STAGE.to_owned();
-        run.record.splats = Some(SplatCount { r#static: scene.splats.n_static(), dynamic: scene.splats.n_dynamic() });
+        run.record.splats = Some(SplatCount {
+            r#static: scene.splats.n_static(),
+            dynamic: scene.splats.n_dynamic(),
+        });
         run.stage(STAGE, key, (None, 0.0), &[SCENE_FILE], |run, keeper| {
             use m4_core::Progress;
             for loss in &losses {
@@ -120,7 +149,12 @@ fn scene(
             if cameras == 0 {
                 keeper.warn("the file has no cameras; a default path around its centre is used");
             }
-            Ok(safetensors::write(&run.path(SCENE_FILE), &scene, None, &BTreeMap::new())?)
+            Ok(safetensors::write(
+                &run.path(SCENE_FILE),
+                &scene,
+                None,
+                &BTreeMap::new(),
+            )?)
         })
     })?;
     Ok(ImportReport {
@@ -149,7 +183,11 @@ pub struct ImportJob {
 impl ImportJob {
     /// Everything as the files say.
     pub fn new(format: Option<ImportFormat>) -> Self {
-        Self { format, existing: Existing::Refuse, options: ImportOptions::default() }
+        Self {
+            format,
+            existing: Existing::Refuse,
+            options: ImportOptions::default(),
+        }
     }
 
     /// An option that has a meaning for captures alone and was given.
@@ -163,7 +201,10 @@ impl ImportJob {
             ("--factor", o.factor != d.factor),
             ("--allow-outside", o.reach != d.reach),
         ];
-        given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
+        given
+            .into_iter()
+            .find(|(_, is_given)| *is_given)
+            .map(|(name, _)| name)
     }
 }
 

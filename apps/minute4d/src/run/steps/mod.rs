@@ -1,10 +1,12 @@
-//! Finished steps of a stage, kept on disk until the stage is done, so that an interrupted stage continues after the last one.
+//! Finished steps of a stage, kept on disk until the stage is done, so that an interrupted stage
+//! continues after the last one.
 //!
-//! A step is a file `.minute4d-steps/NAME` next to the result: magic, a hash, the warnings, and
-//! the value. The hash covers the stage's key, the name and the bytes, so a damaged file, one of another input and one of
-//! other settings all count as missing. Values are restored bit by bit, so the result of an interrupted run equals
-//! that of an uninterrupted one. Steps only save time: a thread of their own writes them while the work goes on, and a failure to write
-//! one is reported once.
+//! A step is a file `.minute4d-steps/NAME` next to the result: magic, a hash, the warnings, and the
+//! value. The hash covers the stage's key, the name and the bytes, so a damaged file, one of
+//! another input and one of other settings all count as missing. Values are restored bit by bit, so
+//! the result of an interrupted run equals that of an uninterrupted one. Steps only save time: a
+//! thread of their own writes them while the work goes on, and a failure to write one is reported
+//! once.
 
 mod writer;
 
@@ -38,17 +40,24 @@ pub(crate) struct StepFolder<'a> {
 }
 
 impl<'a> StepFolder<'a> {
-    /// Opens the steps of the stage with this key whose result goes to `folder`; steps of another key are removed.
+    /// Opens the steps of the stage with this key whose result goes to `folder`; steps of another
+    /// key are removed.
     pub fn open(folder: &Path, key: &str, progress: &'a dyn Progress) -> Self {
         let place = folder.join(FOLDER);
         let writer = Writer::new(place.clone());
-        let steps = Self { folder: place, key: key.to_owned(), progress, usable: AtomicBool::new(true), writer };
-        let of_key =
-            files::read(&steps.folder.join(KEY_FILE), MAX_RECORD_BYTES).is_ok_and(|found| found == key.as_bytes());
+        let steps = Self {
+            folder: place,
+            key: key.to_owned(),
+            progress,
+            usable: AtomicBool::new(true),
+            writer,
+        };
+        let of_key = files::read(&steps.folder.join(KEY_FILE), MAX_RECORD_BYTES)
+            .is_ok_and(|found| found == key.as_bytes());
         if !of_key {
             Self::remove_from(folder);
-            let made =
-                fs::create_dir_all(&steps.folder).and_then(|()| write(&steps.folder, KEY_FILE, &[key.as_bytes()]));
+            let made = fs::create_dir_all(&steps.folder)
+                .and_then(|()| write(&steps.folder, KEY_FILE, &[key.as_bytes()]));
             if let Err(error) = made {
                 steps.give_up(&error);
             }
@@ -58,12 +67,19 @@ impl<'a> StepFolder<'a> {
 
     /// Returns whether finished steps are kept beside the result in `folder`.
     pub fn exist(folder: &Path) -> bool {
-        let names = fs::read_dir(folder.join(FOLDER)).into_iter().flatten().flatten().map(|entry| entry.file_name());
-        names.filter_map(|name| name.into_string().ok()).any(|name| name != KEY_FILE && !name.ends_with(PART))
+        let names = fs::read_dir(folder.join(FOLDER))
+            .into_iter()
+            .flatten()
+            .flatten()
+            .map(|entry| entry.file_name());
+        names
+            .filter_map(|name| name.into_string().ok())
+            .any(|name| name != KEY_FILE && !name.ends_with(PART))
     }
 
-    /// Removes the steps beside the result in `folder`, when the stage is done or its key has changed; only those, which have a key. What
-    /// cannot be removed is part of no result, and is removed or used by the next attempt.
+    /// Removes the steps beside the result in `folder`, when the stage is done or its key has
+    /// changed; only those, which have a key. What cannot be removed is part of no result, and is
+    /// removed or used by the next attempt.
     pub fn remove_from(folder: &Path) {
         let steps = folder.join(FOLDER);
         if steps.join(KEY_FILE).is_file() {
@@ -98,7 +114,8 @@ impl StepCache for StepFolder<'_> {
         self.settle();
         let mut file = files::read(&self.path(name), u64::MAX).ok()?;
         let bytes = file.get(MAGIC.len() + HASH..)?;
-        let whole = file.starts_with(MAGIC) && file[MAGIC.len()..][..HASH] == *hash(&self.key, name, bytes).as_bytes();
+        let whole = file.starts_with(MAGIC)
+            && file[MAGIC.len()..][..HASH] == *hash(&self.key, name, bytes).as_bytes();
         whole.then(|| file.split_off(MAGIC.len() + HASH))
     }
 
@@ -107,9 +124,13 @@ impl StepCache for StepFolder<'_> {
             return;
         }
         let (key, step) = (self.key.clone(), name.to_owned());
-        let failed = self
-            .writer
-            .push(move |folder| write(folder, &step, &[MAGIC, hash(&key, &step, &bytes).as_bytes(), &bytes]));
+        let failed = self.writer.push(move |folder| {
+            write(
+                folder,
+                &step,
+                &[MAGIC, hash(&key, &step, &bytes).as_bytes(), &bytes],
+            )
+        });
         if let Some(error) = failed {
             self.give_up(&error);
         }
@@ -162,9 +183,20 @@ mod tests {
         let steps = StepFolder::open(dir.path(), "k", &heard);
         steps.put("flow", vec![7; 100]);
         drop(steps);
-        assert_eq!(StepFolder::open(dir.path(), "k", &heard).get("flow"), Some(vec![7; 100]));
-        assert_eq!(StepFolder::open(dir.path(), "other", &heard).get("flow"), None, "another key");
-        assert_eq!(StepFolder::open(dir.path(), "k", &heard).get("flow"), None, "removed");
+        assert_eq!(
+            StepFolder::open(dir.path(), "k", &heard).get("flow"),
+            Some(vec![7; 100])
+        );
+        assert_eq!(
+            StepFolder::open(dir.path(), "other", &heard).get("flow"),
+            None,
+            "another key"
+        );
+        assert_eq!(
+            StepFolder::open(dir.path(), "k", &heard).get("flow"),
+            None,
+            "removed"
+        );
         StepFolder::remove_from(dir.path());
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
     }
@@ -204,6 +236,10 @@ mod tests {
         steps.put("more", vec![1]);
         drop(steps);
         let said = heard.0.lock().unwrap();
-        assert_eq!(said.iter().filter(|s| s.contains("cannot be kept")).count(), 1, "{said:?}");
+        assert_eq!(
+            said.iter().filter(|s| s.contains("cannot be kept")).count(),
+            1,
+            "{said:?}"
+        );
     }
 }

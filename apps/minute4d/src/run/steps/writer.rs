@@ -15,7 +15,8 @@ const WAITING: usize = 4;
 /// Writes one file into a folder.
 type Task = Box<dyn FnOnce(&Path) -> io::Result<()> + Send>;
 
-/// Writes files in the order in which they are pushed. The thread ends with this and finishes its work before.
+/// Writes files in the order in which they are pushed. The thread ends with this and finishes its
+/// work before.
 pub(super) struct Writer {
     folder: PathBuf,
     state: Arc<State>,
@@ -36,18 +37,30 @@ struct Progress {
 
 impl Writer {
     pub fn new(folder: PathBuf) -> Self {
-        Self { folder, state: Arc::default(), tasks: Mutex::new(None) }
+        Self {
+            folder,
+            state: Arc::default(),
+            tasks: Mutex::new(None),
+        }
     }
 
-    /// Has `write` called with the folder. Returns the error of an earlier file that was not returned yet.
-    pub fn push(&self, write: impl FnOnce(&Path) -> io::Result<()> + Send + 'static) -> Option<io::Error> {
+    /// Has `write` called with the folder. Returns the error of an earlier file that was not
+    /// returned yet.
+    pub fn push(
+        &self,
+        write: impl FnOnce(&Path) -> io::Result<()> + Send + 'static,
+    ) -> Option<io::Error> {
         let error = {
             let mut progress = self.state.lock();
             progress.pending += 1;
             progress.error.take()
         };
-        let tasks =
-            self.tasks.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_with(|| self.start()).clone();
+        let tasks = self
+            .tasks
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get_or_insert_with(|| self.start())
+            .clone();
         // where no thread was started
         if let Err(refused) = tasks.send(Box::new(write)) {
             self.state.done(refused.0(&self.folder));
@@ -59,7 +72,11 @@ impl Writer {
     pub fn settle(&self) -> Option<io::Error> {
         let mut progress = self.state.lock();
         while progress.pending > 0 {
-            progress = self.state.idle.wait(progress).unwrap_or_else(PoisonError::into_inner);
+            progress = self
+                .state
+                .idle
+                .wait(progress)
+                .unwrap_or_else(PoisonError::into_inner);
         }
         progress.error.take()
     }
@@ -67,7 +84,11 @@ impl Writer {
     fn start(&self) -> SyncSender<Task> {
         let (sender, tasks) = sync_channel::<Task>(WAITING);
         let (folder, state) = (self.folder.clone(), self.state.clone());
-        let work = move || tasks.into_iter().for_each(|write| state.done(write(&folder)));
+        let work = move || {
+            tasks
+                .into_iter()
+                .for_each(|write| state.done(write(&folder)))
+        };
         // without a thread the channel is closed
         let _ = thread::Builder::new().name("steps".to_owned()).spawn(work);
         sender
@@ -115,7 +136,11 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let writer = Writer::new(dir.path().to_path_buf());
         for i in 0..20u8 {
-            assert!(writer.push(move |folder| write(folder, &i.to_string(), &[&[i; 1000], &[1]])).is_none());
+            assert!(
+                writer
+                    .push(move |folder| write(folder, &i.to_string(), &[&[i; 1000], &[1]]))
+                    .is_none()
+            );
         }
         assert!(writer.settle().is_none());
         for i in 0..20u8 {
@@ -124,7 +149,10 @@ mod tests {
         }
         writer.push(|folder| write(&folder.join("nowhere"), "a", &[]));
         writer.push(|folder| write(&folder.join("nowhere"), "b", &[]));
-        assert_eq!(writer.settle().unwrap().kind(), std::io::ErrorKind::NotFound);
+        assert_eq!(
+            writer.settle().unwrap().kind(),
+            std::io::ErrorKind::NotFound
+        );
         assert!(writer.settle().is_none());
     }
 }

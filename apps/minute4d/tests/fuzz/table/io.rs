@@ -18,11 +18,25 @@ use std::path::{Path, PathBuf};
 const MAX_ARRAY_BYTES: u64 = 64 << 20;
 
 pub fn rows() -> Vec<Reader> {
-    [images(), arrays(), paths(), captures(), scenes(), videos(), splats()].into_iter().flatten().collect()
+    [
+        images(),
+        arrays(),
+        paths(),
+        captures(),
+        scenes(),
+        videos(),
+        splats(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 fn png(reader: Reader) -> Reader {
-    Reader { wrap: Wrap::Png, ..reader }
+    Reader {
+        wrap: Wrap::Png,
+        ..reader
+    }
 }
 
 fn images() -> Vec<Reader> {
@@ -30,13 +44,24 @@ fn images() -> Vec<Reader> {
         vec![
             super::image("a.jpg"),
             fixture_bytes("import/nerfstudio/images/frame_1.jpg"),
-            with_exif(&fixture_bytes("import/davis/JPEGImages/480p/ball/00001.jpg")),
+            with_exif(&fixture_bytes(
+                "import/davis/JPEGImages/480p/ball/00001.jpg",
+            )),
         ]
     };
-    let pngs = || vec![super::image("a.png"), fixture_bytes("import/side/masks_palette/frame8.png")];
+    let pngs = || {
+        vec![
+            super::image("a.png"),
+            fixture_bytes("import/side/masks_palette/frame8.png"),
+        ]
+    };
     let depths = || vec![fixture_bytes("import/side/depth_png/frame8.png")];
-    let greys =
-        || vec![fixture_bytes("import/nvidia/motion_masks/001.png"), fixture_bytes("import/side/depth_png/frame8.png")];
+    let greys = || {
+        vec![
+            fixture_bytes("import/nvidia/motion_masks/001.png"),
+            fixture_bytes("import/side/depth_png/frame8.png"),
+        ]
+    };
     let read_rgb = |p: &Path| Outcome::of(image::read_rgb(p), |_| None);
     let photo = |p: &Path| {
         Outcome::of(image::read_photo(p), |photo| {
@@ -64,8 +89,12 @@ fn images() -> Vec<Reader> {
         png(alone("io-png-depth", "a.png", depths, depth)),
         png(alone("io-png-ids", "a.png", greys, ids)),
         png(alone("io-png-ids-bytes", "a.png", greys, ids_of_bytes)),
-        png(alone("io-png-mask", "a.png", greys, |p| Outcome::of(image::read_mask(p), |_| None))),
-        alone("io-jpeg-grey", "a.jpg", jpegs, |p| Outcome::of(image::read_grey(p), |_| None)),
+        png(alone("io-png-mask", "a.png", greys, |p| {
+            Outcome::of(image::read_mask(p), |_| None)
+        })),
+        alone("io-jpeg-grey", "a.jpg", jpegs, |p| {
+            Outcome::of(image::read_grey(p), |_| None)
+        }),
     ]
 }
 
@@ -99,16 +128,35 @@ fn arrays() -> Vec<Reader> {
     let bytes = |p: &Path| Outcome::of(npy(p, true), |_| None);
     vec![
         alone("io-npy", "a.npy", npys, numbers),
-        alone("io-npy-bytes", "a.npy", || vec![members("tracks/numpy.npz")[1].1.clone()], bytes),
-        among("io-npz", "tracks/numpy.npz", "", |p| Outcome::of(npz(p), |_| None)),
+        alone(
+            "io-npy-bytes",
+            "a.npy",
+            || vec![members("tracks/numpy.npz")[1].1.clone()],
+            bytes,
+        ),
+        among("io-npz", "tracks/numpy.npz", "", |p| {
+            Outcome::of(npz(p), |_| None)
+        }),
         alone(
             "io-tracks",
             "tracks.npz",
-            || vec![super::written("t.npz", |p| tracks::write(p, &super::tracks()))],
+            || {
+                vec![super::written("t.npz", |p| {
+                    tracks::write(p, &super::tracks())
+                })]
+            },
             |p| Outcome::of(tracks::read(p, 2, MAX_ARRAY_BYTES), reader::tracks),
         ),
-        within("io-tracks-coords", "coords.npy", among("", "tracks/numpy.npz", "", numpy_tracks)),
-        within("io-tracks-visibs", "visibs.npy", among("", "tracks/numpy.npz", "", numpy_tracks)),
+        within(
+            "io-tracks-coords",
+            "coords.npy",
+            among("", "tracks/numpy.npz", "", numpy_tracks),
+        ),
+        within(
+            "io-tracks-visibs",
+            "visibs.npy",
+            among("", "tracks/numpy.npz", "", numpy_tracks),
+        ),
     ]
 }
 
@@ -118,7 +166,12 @@ fn numpy_tracks(path: &Path) -> Outcome {
 
 fn npy(path: &Path, whole: bool) -> Result<(), Fault> {
     let bytes = std::fs::read(path)?;
-    let mut array = Array::open("the array", bytes.as_slice(), bytes.len() as u64, MAX_ARRAY_BYTES)?;
+    let mut array = Array::open(
+        "the array",
+        bytes.as_slice(),
+        bytes.len() as u64,
+        MAX_ARRAY_BYTES,
+    )?;
     drain(&mut array, whole)
 }
 
@@ -155,7 +208,9 @@ fn paths() -> Vec<Reader> {
         ];
         texts.map(|t| t.as_bytes().to_vec()).to_vec()
     };
-    vec![alone("io-camera-path", "path.json", seeds, |p| Outcome::of(trajectory::load(p, 11), reader::trajectory))]
+    vec![alone("io-camera-path", "path.json", seeds, |p| {
+        Outcome::of(trajectory::load(p, 11), reader::trajectory)
+    })]
 }
 
 /// A row for one file of a capture of ours.
@@ -165,8 +220,14 @@ fn of_capture(name: &'static str, file: &str, split: Split) -> Reader {
         file: file.to_owned(),
         given: String::new(),
         around: Around::Made(super::capture_into),
-        wrap: if file.ends_with(".png") { Wrap::Png } else { Wrap::Plain },
-        seeds: Box::new(|file| vec![std::fs::read(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))]),
+        wrap: if file.ends_with(".png") {
+            Wrap::Png
+        } else {
+            Wrap::Plain
+        },
+        seeds: Box::new(|file| {
+            vec![std::fs::read(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))]
+        }),
         call: Box::new(move |folder| {
             let read = capture::read(folder, split, &CaptureOptions::default(), &Silent);
             Outcome::of(read, reader::capture)
@@ -188,18 +249,33 @@ fn scenes() -> Vec<Reader> {
             let pairs = BTreeMap::from([("a".to_owned(), "b".to_owned())]);
             super::written("s", |p| safetensors::write(p, &scene, None, &pairs))
         };
-        vec![write(super::scene(0)), write(super::scene(2)), write(super::bound_scene())]
+        vec![
+            write(super::scene(0)),
+            write(super::scene(2)),
+            write(super::bound_scene()),
+        ]
     };
-    vec![alone("io-scene-file", "scene.safetensors", seeds, sealed_scene)]
+    vec![alone(
+        "io-scene-file",
+        "scene.safetensors",
+        seeds,
+        sealed_scene,
+    )]
 }
 
 /// Reads a scene file; where only its checksum is wrong, once more with the right one.
 fn sealed_scene(path: &Path) -> Outcome {
     let read = safetensors::read(path);
-    let message = read.as_ref().err().map(ToString::to_string).unwrap_or_default();
+    let message = read
+        .as_ref()
+        .err()
+        .map(ToString::to_string)
+        .unwrap_or_default();
     if let Some((found, expected)) = checksums(&message) {
         let mut bytes = std::fs::read(path).unwrap_or_default();
-        let at = bytes.windows(expected.len()).position(|w| w == expected.as_bytes());
+        let at = bytes
+            .windows(expected.len())
+            .position(|w| w == expected.as_bytes());
         if let Some(at) = at.filter(|_| expected.len() == found.len()) {
             bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
             if std::fs::write(path, bytes).is_ok() {
@@ -212,7 +288,10 @@ fn sealed_scene(path: &Path) -> Outcome {
 
 /// The checksum that a file has, and the one that it says.
 fn checksums(message: &str) -> Option<(&str, &str)> {
-    let (found, rest) = message.split_once("its checksum is ")?.1.split_once(" where ")?;
+    let (found, rest) = message
+        .split_once("its checksum is ")?
+        .1
+        .split_once(" where ")?;
     Some((found, rest.split_once(" was written")?.0))
 }
 
@@ -231,7 +310,9 @@ fn videos() -> Vec<Reader> {
         let ours = super::written("a.mp4", |path| {
             let mut to = Mp4Writer::create(path, 32, 16, 24.0)?;
             for i in 0..3u8 {
-                to.push(Plane::from_fn(32, 16, |x, y| [x as u8 * 8, y as u8 * 8, i * 40]))?;
+                to.push(Plane::from_fn(32, 16, |x, y| {
+                    [x as u8 * 8, y as u8 * 8, i * 40]
+                }))?;
             }
             to.finish()
         });
@@ -239,11 +320,20 @@ fn videos() -> Vec<Reader> {
     };
     let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), reader::video);
     // else what is damaged is left out
-    let strict = VideoOptions { strict: true, max_frames: None, ..own_video() };
+    let strict = VideoOptions {
+        strict: true,
+        max_frames: None,
+        ..own_video()
+    };
     let folder = move |p: &Path| Outcome::of(video::read(p, &strict, &Silent), reader::video);
     vec![
         alone("io-mp4", "a.mp4", seeds, read),
-        png(among("io-video-folder", "import/clip/images", "00002.png", folder)),
+        png(among(
+            "io-video-folder",
+            "import/clip/images",
+            "00002.png",
+            folder,
+        )),
     ]
 }
 
@@ -263,7 +353,11 @@ fn splats() -> Vec<Reader> {
         DEGREES.map(one).to_vec()
     };
     vec![
-        alone("formats-4dgs", "a.4dgs", clips, |p| Outcome::of(fourdgs::read(p), |found| reader::scene(&found.scene))),
-        alone("formats-ply", "a.ply", instants, |p| Outcome::of(ply::read(p), |found| reader::scene(&found.scene))),
+        alone("formats-4dgs", "a.4dgs", clips, |p| {
+            Outcome::of(fourdgs::read(p), |found| reader::scene(&found.scene))
+        }),
+        alone("formats-ply", "a.ply", instants, |p| {
+            Outcome::of(ply::read(p), |found| reader::scene(&found.scene))
+        }),
     ]
 }

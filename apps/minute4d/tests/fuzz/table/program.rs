@@ -4,8 +4,12 @@ use super::alone;
 use crate::reader::{Around, Outcome, Reader};
 use m4_kernels::SimdLevel;
 use minute4d::settings::{Layers, Settings};
-use minute4d_cli::batch::{Arguments, ClipReport, Job, JobRecord, Manifest, Outcome as JobOutcome, Report, VERSION};
-use minute4d_cli::run::record::{self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status};
+use minute4d_cli::batch::{
+    Arguments, ClipReport, Job, JobRecord, Manifest, Outcome as JobOutcome, Report, VERSION,
+};
+use minute4d_cli::run::record::{
+    self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status,
+};
 use serde::Serialize;
 use std::path::Path;
 
@@ -15,8 +19,15 @@ pub fn rows() -> Vec<Reader> {
             let read = Layers::default().file(p).and_then(|layers| layers.finish());
             Outcome::of(read, |_| None)
         }),
-        below("program-run-record", "run.json", runs, |p| usable(RunRecord::read(p))),
-        below("program-geometry-record", "geometry.json", geometries, |p| usable(GeometryRecord::read(p))),
+        below("program-run-record", "run.json", runs, |p| {
+            usable(RunRecord::read(p))
+        }),
+        below(
+            "program-geometry-record",
+            "geometry.json",
+            geometries,
+            |p| usable(GeometryRecord::read(p)),
+        ),
         alone("batch-manifest", "jobs.jsonl", manifests, |p| {
             Outcome::of(Manifest::read(p), |read| {
                 let same = read.jobs.iter().map(|job| job.id.to_lowercase());
@@ -38,7 +49,11 @@ fn below(
     seeds: fn() -> Vec<Vec<u8>>,
     call: impl Fn(&Path) -> Outcome + Send + Sync + 'static,
 ) -> Reader {
-    Reader { given: String::new(), around: Around::Nothing, ..alone(name, file, seeds, call) }
+    Reader {
+        given: String::new(),
+        around: Around::Nothing,
+        ..alone(name, file, seeds, call)
+    }
 }
 
 fn json(value: &impl Serialize) -> Vec<u8> {
@@ -46,7 +61,10 @@ fn json(value: &impl Serialize) -> Vec<u8> {
 }
 
 fn settings() -> Vec<Vec<u8>> {
-    let text = |s: Settings| s.to_toml().unwrap_or_else(|e| panic!("valid settings: {e}"));
+    let text = |s: Settings| {
+        s.to_toml()
+            .unwrap_or_else(|e| panic!("valid settings: {e}"))
+    };
     vec![
         text(Settings::fast()).into_bytes(),
         text(Settings::faithful()).into_bytes(),
@@ -55,13 +73,18 @@ fn settings() -> Vec<Vec<u8>> {
 }
 
 fn input() -> Input {
-    Input { path: "a clip.mp4".to_owned(), blake3: "00".repeat(32) }
+    Input {
+        path: "a clip.mp4".to_owned(),
+        blake3: "00".repeat(32),
+    }
 }
 
 fn runs() -> Vec<Vec<u8>> {
     let device = Device::here(SimdLevel::best(), None);
     let record = RunRecord::begin(input(), &Settings::fast(), device);
-    vec![json(&record.unwrap_or_else(|e| panic!("a valid record: {e}")))]
+    vec![json(
+        &record.unwrap_or_else(|e| panic!("a valid record: {e}")),
+    )]
 }
 
 fn geometries() -> Vec<Vec<u8>> {
@@ -99,7 +122,9 @@ fn manifest(results: &str) -> Manifest {
 }
 
 fn manifests() -> Vec<Vec<u8>> {
-    vec![super::written("jobs.jsonl", |p| manifest("/results").write(p, false))]
+    vec![super::written("jobs.jsonl", |p| {
+        manifest("/results").write(p, false)
+    })]
 }
 
 /// What is seen of a batch whose results are in `folder`.
@@ -110,7 +135,10 @@ fn report(folder: &Path) -> Outcome {
         let of_batch = |reason: &String| reason.starts_with("its result is of");
         clip.host.is_some() || clip.reason.as_ref().is_some_and(of_batch)
     };
-    if read.as_ref().is_ok_and(|report| !report.clips.iter().any(understood)) {
+    if read
+        .as_ref()
+        .is_ok_and(|report| !report.clips.iter().any(understood))
+    {
         return Outcome::Refused("nothing that can be used".to_owned());
     }
     Outcome::of(read, |report| {
@@ -143,7 +171,9 @@ fn records() -> Vec<Vec<u8>> {
         seconds: 12.5,
         host: "node".to_owned(),
     };
-    [JobOutcome::Failed, JobOutcome::Retryable].map(|outcome| json(&record(outcome))).to_vec()
+    [JobOutcome::Failed, JobOutcome::Retryable]
+        .map(|outcome| json(&record(outcome)))
+        .to_vec()
 }
 
 fn marks() -> Vec<Vec<u8>> {

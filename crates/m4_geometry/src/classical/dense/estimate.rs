@@ -31,15 +31,16 @@ pub struct DenseFrame {
 pub struct Dense {
     /// One per frame.
     pub frames: Vec<DenseFrame>,
-    /// Dynamic points, tracked through the clip, in the unit of the cameras; `None` where nothing could be tracked
-    /// or tracks are disabled.
+    /// Dynamic points, tracked through the clip, in the unit of the cameras; `None` where nothing
+    /// could be tracked or tracks are disabled.
     pub tracks: Option<Tracks>,
 }
 
 /// Fewer frames have no background that is seen most of the time.
 const LEAST_BACKGROUND: usize = 8;
 
-/// Depth and motion of a clip at the working size, which [`enlarge`](Self::enlarge) brings to the size of the frames.
+/// Depth and motion of a clip at the working size, which [`enlarge`](Self::enlarge) brings to the
+/// size of the frames.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Estimate {
     size: (usize, usize),
@@ -55,12 +56,14 @@ pub struct Estimate {
     tracks: Option<Tracks>,
 }
 
-/// Estimates depth, motion masks and confidence of every frame and tracks of dynamic objects, given cameras and feature tracks, with the
-/// methods of `sources`. `rate` is that of `frames`; `masks` has one mask per frame, of any size, above 0 in dynamic regions; motion is not estimated then.
+/// Estimates depth, motion masks and confidence of every frame and tracks of dynamic objects, given
+/// cameras and feature tracks, with the methods of `sources`. `rate` is that of `frames`; `masks`
+/// has one mask per frame, of any size, above 0 in dynamic regions; motion is not estimated then.
 ///
 /// # Errors
 ///
-/// [`DenseError`] if frames and cameras do not fit, a setting is out of range, a source fails, or the user stopped it.
+/// [`DenseError`] if frames and cameras do not fit, a setting is out of range, a source fails, or
+/// the user stopped it.
 pub fn estimate(
     frames: &[&RgbImage],
     rate: FrameRate,
@@ -74,12 +77,17 @@ pub fn estimate(
     let (count, (w, h)) = (frames.len(), ground.size);
     let parallax = sparse.camera_motion == CameraMotion::Parallax;
     let mono = match sources.mono {
-        Some(mono) => {
-            Mono { kind: mono.kind, frames: each(count, "reading depth", progress, |i| mono.at_size(i, (w, h)))? }
-        }
+        Some(mono) => Mono {
+            kind: mono.kind,
+            frames: each(count, "reading depth", progress, |i| {
+                mono.at_size(i, (w, h))
+            })?,
+        },
         None => Mono::default(),
     };
-    let working = each(count, "shrinking frames", progress, |i| ScaledFrame::new(frames[i], (w, h)))?;
+    let working = each(count, "shrinking frames", progress, |i| {
+        ScaledFrame::new(frames[i], (w, h))
+    })?;
     let flows = try_each(count - 1, "computing flow", progress, |i| {
         let both = (sources.flow)(i, &working[i], &working[i + 1]);
         let (forward, backward) = both.map_err(|source| DenseError::Flow { frame: i, source })?;
@@ -89,7 +97,9 @@ pub fn estimate(
     let shots = each(count, "preparing frames", progress, |i| {
         Shot::new(working[i].clone(), &ground.cameras, i, &points, parallax)
     })?;
-    let swept = each(count, "sweeping depth", progress, |i| static_depth::sweep(&shots, i))?;
+    let swept = each(count, "sweeping depth", progress, |i| {
+        static_depth::sweep(&shots, i)
+    })?;
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
     let clues = MotionCues {
         rate,
@@ -111,16 +121,36 @@ pub fn estimate(
         progress,
     };
     let given = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
-    let MotionSegmentation { moving, measured, filled, refined } = clip.segment_motion(swept, given)?;
-    let found =
-        Clip { width: w, height: h, rate, cameras: &clues.cameras, moving: &moving, disparity: &filled, flows: &flows };
-    let mut disparity =
-        if parallax || !mono.is_empty() { moving_depth::place(&found) } else { layers::place(&found, &shots) };
+    let MotionSegmentation {
+        moving,
+        measured,
+        filled,
+        refined,
+    } = clip.segment_motion(swept, given)?;
+    let found = Clip {
+        width: w,
+        height: h,
+        rate,
+        cameras: &clues.cameras,
+        moving: &moving,
+        disparity: &filled,
+        flows: &flows,
+    };
+    let mut disparity = if parallax || !mono.is_empty() {
+        moving_depth::place(&found)
+    } else {
+        layers::place(&found, &shots)
+    };
     if parallax && ground.one_lens {
         rigid_objects::place(&found, |i| clip.smoother(i), &mut disparity, progress)?;
     }
     for ((disparity, refined), moving) in disparity.iter_mut().zip(refined).zip(&moving) {
-        for ((d, refined), _) in disparity.iter_mut().zip(refined).zip(moving).filter(|(_, moves)| **moves == 0) {
+        for ((d, refined), _) in disparity
+            .iter_mut()
+            .zip(refined)
+            .zip(moving)
+            .filter(|(_, moves)| **moves == 0)
+        {
             *d = refined;
         }
     }
@@ -130,23 +160,41 @@ pub fn estimate(
         }
         mono.overrule(i, &mut disparity[i]);
     }
-    let found = Clip { disparity: &disparity, ..found };
+    let found = Clip {
+        disparity: &disparity,
+        ..found
+    };
     let tracks = match config.tracks {
         true => tracks::tracks(&found, &QueryGrid::chains(), progress)?,
         false => None,
     };
-    let confidence = measured.into_iter().map(|measured| measured.confidence).collect();
-    Ok(Estimate { size: (w, h), disparity, confidence, moving, tracks })
+    let confidence = measured
+        .into_iter()
+        .map(|measured| measured.confidence)
+        .collect();
+    Ok(Estimate {
+        size: (w, h),
+        disparity,
+        confidence,
+        moving,
+        tracks,
+    })
 }
 
 impl Estimate {
-    /// Returns depth, masks and confidence at the size of `frames`, those that the estimate was made of.
+    /// Returns depth, masks and confidence at the size of `frames`, those that the estimate was
+    /// made of.
     ///
     /// # Errors
     ///
     /// [`DenseError`] for another number of frames, or if the user stopped it.
-    pub fn enlarge(self, frames: &[&RgbImage], progress: &dyn Progress) -> Result<Dense, DenseError> {
-        check_count("estimated depth maps", self.disparity.len(), frames.len()).map_err(DenseError::Input)?;
+    pub fn enlarge(
+        self,
+        frames: &[&RgbImage],
+        progress: &dyn Progress,
+    ) -> Result<Dense, DenseError> {
+        check_count("estimated depth maps", self.disparity.len(), frames.len())
+            .map_err(DenseError::Input)?;
         let (width, height) = self.size;
         let frames = each(frames.len(), "enlarging depth", progress, |i| {
             let small = Small {
@@ -158,7 +206,10 @@ impl Estimate {
             };
             enlarge(frames[i], &small)
         })?;
-        Ok(Dense { frames, tracks: self.tracks })
+        Ok(Dense {
+            frames,
+            tracks: self.tracks,
+        })
     }
 }
 
@@ -182,7 +233,10 @@ struct Small<'a> {
 /// colour. Depth is averaged over one surface only, so that nothing floats between two.
 fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
     let (width, height) = image.size();
-    let (sx, sy) = (small.size.0 as f32 / width as f32, small.size.1 as f32 / height as f32);
+    let (sx, sy) = (
+        small.size.0 as f32 / width as f32,
+        small.size.1 as f32 / height as f32,
+    );
     let mut depth = Plane::filled(width, height, 1.0f32);
     let mut mask = Plane::filled(width, height, 0u8);
     let mut confidence = Plane::filled(width, height, 0.0f32);
@@ -212,12 +266,24 @@ fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
                     weight += w;
                 }
             }
-            depth[(x, y)] = if weight > 0.0 { weight / sum } else { 1.0 / surface };
+            depth[(x, y)] = if weight > 0.0 {
+                weight / sum
+            } else {
+                1.0 / surface
+            };
             mask[(x, y)] = if moving { 255 } else { 0 };
-            confidence[(x, y)] = if moving || weight == 0.0 { 0.0 } else { (sure / weight).min(1.0) };
+            confidence[(x, y)] = if moving || weight == 0.0 {
+                0.0
+            } else {
+                (sure / weight).min(1.0)
+            };
         }
     }
-    DenseFrame { depth, mask, confidence }
+    DenseFrame {
+        depth,
+        mask,
+        confidence,
+    }
 }
 
 /// The 3x3 pixels around a position and their weights, 0 outside the image.
@@ -234,7 +300,10 @@ fn neighbours(small: &Small<'_>, (x, y): (f32, f32), colour: [u8; 3]) -> [(usize
         // A tent two pixels wide, never 0, times the likeness of the colours.
         let (dx, dy) = (x - nx as f32, y - ny as f32);
         let space = (1.6 - dx.abs()).max(0.05) * (1.6 - dy.abs()).max(0.05);
-        let differences = small.rgb[i].iter().zip(&colour).map(|(a, b)| a.abs_diff(*b));
+        let differences = small.rgb[i]
+            .iter()
+            .zip(&colour)
+            .map(|(a, b)| a.abs_diff(*b));
         let difference = f32::from(differences.fold(0, u8::max));
         (i, space / (1.0 + (difference / COLOUR).powi(2)))
     })
@@ -251,15 +320,27 @@ mod tests {
         // The edge lies at full-size column 22, inside small pixel 5 of 16 (columns 20 to 23).
         let image = Plane::from_fn(64, 48, |x, _| if x < 22 { [30; 3] } else { [200; 3] });
         let (rgb, _) = rgb_and_grey(&image, 16, 12);
-        let disparity: Vec<f32> = (0..16 * 12).map(|i| if i % 16 < 5 { 0.25 } else { 1.0 }).collect();
-        let moving: Vec<u8> = (0..16 * 12).map(|i| if i % 16 < 5 { 0 } else { 255 }).collect();
+        let disparity: Vec<f32> = (0..16 * 12)
+            .map(|i| if i % 16 < 5 { 0.25 } else { 1.0 })
+            .collect();
+        let moving: Vec<u8> = (0..16 * 12)
+            .map(|i| if i % 16 < 5 { 0 } else { 255 })
+            .collect();
         let confidence = vec![1.0; 16 * 12];
-        let small =
-            Small { size: (16, 12), rgb: &rgb, disparity: &disparity, moving: &moving, confidence: &confidence };
+        let small = Small {
+            size: (16, 12),
+            rgb: &rgb,
+            disparity: &disparity,
+            moving: &moving,
+            confidence: &confidence,
+        };
         let out = enlarge(&image, &small);
         for x in 0..64 {
             let (z, m) = (out.depth[(x, 20)], out.mask[(x, 20)]);
-            assert!((z - 4.0).abs() < 1e-3 || (z - 1.0).abs() < 1e-3, "column {x}: {z}");
+            assert!(
+                (z - 4.0).abs() < 1e-3 || (z - 1.0).abs() < 1e-3,
+                "column {x}: {z}"
+            );
             let near = x >= 22;
             assert_eq!((z < 2.0, m > 0), (near, near), "column {x}");
         }

@@ -12,7 +12,8 @@ use crate::flow::{FlowPair, ScaledFrame};
 use crate::smooth::Smoother;
 use m4_core::Camera;
 
-/// Standard deviation of a disparity on which all partners agree, and what none adds, in steps of the sweep.
+/// Standard deviation of a disparity on which all partners agree, and what none adds, in steps of
+/// the sweep.
 const SURE_STEPS: f32 = 1.0;
 const UNSURE_STEPS: f32 = 10.0;
 /// Strength of the edge-aware smoothing of evidence, pixels squared (Min et al. 2014, lambda).
@@ -47,17 +48,23 @@ pub(super) struct FrameDisparity<'a> {
 }
 
 /// The verdicts of all tracks, by frame.
-pub(super) fn verdicts(sparse: &SparseReconstruction, width: usize, height: usize) -> Vec<Vec<(usize, bool)>> {
+pub(super) fn verdicts(
+    sparse: &SparseReconstruction,
+    width: usize,
+    height: usize,
+) -> Vec<Vec<(usize, bool)>> {
     let mut out = vec![Vec::new(); sparse.cameras.len()];
-    for (frame, pixel, track) in observed(sparse, width, height).filter(|(.., t)| t.motion != Motion::Unknown) {
+    for (frame, pixel, track) in
+        observed(sparse, width, height).filter(|(.., t)| t.motion != Motion::Unknown)
+    {
         out[frame].push((pixel, track.motion == Motion::Dynamic));
     }
     out
 }
 
-/// Evidence of one frame, below 0 for static and above for moving, smoothed along the edges of the frame:
-/// flow against what depth and cameras predict, agreement of the partners, verdicts of tracks, and, where
-/// the camera is static, the difference to the background.
+/// Evidence of one frame, below 0 for static and above for moving, smoothed along the edges of the
+/// frame: flow against what depth and cameras predict, agreement of the partners, verdicts of
+/// tracks, and, where the camera is static, the difference to the background.
 pub(super) fn evidence(
     clues: &MotionCues,
     shots: &[Shot],
@@ -68,8 +75,11 @@ pub(super) fn evidence(
 ) -> Vec<f32> {
     let (w, h) = (seen.frame.width, seen.frame.height);
     let (mut value, mut weight) = (vec![-PRIOR; w * h], vec![PRIOR; w * h]);
-    let deviation: Vec<f32> =
-        seen.confidence.iter().map(|c| shots[i].range.step * (SURE_STEPS + UNSURE_STEPS * (1.0 - c))).collect();
+    let deviation: Vec<f32> = seen
+        .confidence
+        .iter()
+        .map(|c| shots[i].range.step * (SURE_STEPS + UNSURE_STEPS * (1.0 - c)))
+        .collect();
     let trajectories = Trajectories {
         shots,
         cameras: &clues.cameras,
@@ -88,7 +98,11 @@ pub(super) fn evidence(
         weight[p] += agreement;
     }
     if let Some(background) = &clues.background {
-        for ((v, w), e) in value.iter_mut().zip(&mut weight).zip(difference_evidence(background, seen.frame)) {
+        for ((v, w), e) in value
+            .iter_mut()
+            .zip(&mut weight)
+            .zip(difference_evidence(background, seen.frame))
+        {
             (*v, *w) = (*v + e, *w + 1.0);
         }
     }
@@ -102,7 +116,13 @@ pub(super) fn evidence(
 }
 
 /// A track speaks for its surroundings.
-fn add_verdict((pixel, moves): (usize, bool), w: usize, h: usize, value: &mut [f32], weight: &mut [f32]) {
+fn add_verdict(
+    (pixel, moves): (usize, bool),
+    w: usize,
+    h: usize,
+    value: &mut [f32],
+    weight: &mut [f32],
+) {
     const REACH: usize = 3;
     let (x, y) = (pixel % w, pixel / w);
     for ny in y.saturating_sub(REACH)..(y + REACH + 1).min(h) {
@@ -125,7 +145,10 @@ pub(super) fn trust(step: &temporal::Step) -> f32 {
 
 /// Where evidence is above 0, without specks and pinholes.
 pub(super) fn mask(width: usize, height: usize, evidence: &[f32]) -> Vec<u8> {
-    let mut mask: Vec<u8> = evidence.iter().map(|&e| if e > 0.0 { 255 } else { 0 }).collect();
+    let mut mask: Vec<u8> = evidence
+        .iter()
+        .map(|&e| if e > 0.0 { 255 } else { 0 })
+        .collect();
     let least = (LEAST_COMPONENT * (width * height) as f32).ceil() as usize;
     clean(width, height, &mut mask, least);
     mask

@@ -1,4 +1,5 @@
-//! Separates dynamic from static regions: motion spoils depth and depth shows motion, so one is found from the other in turn.
+//! Separates dynamic from static regions: motion spoils depth and depth shows motion, so one is
+//! found from the other in turn.
 
 use super::background_model;
 use super::edges;
@@ -19,7 +20,8 @@ use m4_core::{Progress, RgbImage, dilated};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.
 const ROUNDS: usize = 2;
-/// Time in which evidence of motion counts e times less, seconds: an object in motion is dynamic a little before and after, too.
+/// Time in which evidence of motion counts e times less, seconds: an object in motion is dynamic a
+/// little before and after, too.
 const MEMORY_S: f64 = 0.4;
 /// Colour difference that stops the edge-aware fill of depth, 0..255 (Min et al. 2014, sigma).
 const FILL_SIGMA: f32 = 8.0;
@@ -49,7 +51,8 @@ pub(super) struct MotionSegmentation {
     pub measured: Vec<Measured>,
     /// Disparity of static regions, also behind dynamic ones, which are placed by it.
     pub filled: Vec<Vec<f32>>,
-    /// The same of static regions alone, also next to dynamic ones, more precise; none without parallax.
+    /// The same of static regions alone, also next to dynamic ones, more precise; none without
+    /// parallax.
     pub refined: Vec<Vec<f32>>,
 }
 
@@ -59,8 +62,13 @@ fn of(masks: Option<&[Vec<u8>]>, i: usize) -> Option<&[u8]> {
 }
 
 impl Clip<'_> {
-    /// Segments dynamic regions by the disparities that were `swept`, or takes the masks of the user.
-    pub fn segment_motion(&self, swept: Vec<Vec<f32>>, given: Option<Masks>) -> Result<MotionSegmentation, DenseError> {
+    /// Segments dynamic regions by the disparities that were `swept`, or takes the masks of the
+    /// user.
+    pub fn segment_motion(
+        &self,
+        swept: Vec<Vec<f32>>,
+        given: Option<Masks>,
+    ) -> Result<MotionSegmentation, DenseError> {
         let given_masks = given.is_some();
         let mut moving = match given {
             Some(given) => given,
@@ -70,7 +78,11 @@ impl Clip<'_> {
         // a clip's planes are its memory: each goes as soon as nothing needs it
         drop(swept);
         let filled = self.filled(&measured, Some(&moving))?;
-        let refined = if self.parallax { self.refined(&measured, &filled, &moving)? } else { Vec::new() };
+        let refined = if self.parallax {
+            self.refined(&measured, &filled, &moving)?
+        } else {
+            Vec::new()
+        };
         if !given_masks {
             if self.parallax {
                 moving = self.sharpened(&moving, &self.grown(&moving)?, &refined)?;
@@ -80,10 +92,16 @@ impl Clip<'_> {
                 distrust(measured, moving);
             }
         }
-        Ok(MotionSegmentation { moving, measured, filled, refined })
+        Ok(MotionSegmentation {
+            moving,
+            measured,
+            filled,
+            refined,
+        })
     }
 
-    /// The static depth `filled` by what frames far apart show: refined on brightness, merged over the frames and filled once more.
+    /// The static depth `filled` by what frames far apart show: refined on brightness, merged over
+    /// the frames and filled once more.
     fn refined(
         &self,
         measured: &[Measured],
@@ -98,27 +116,63 @@ impl Clip<'_> {
         };
         // the fill smears edges: it is the start only where nothing was measured
         let start = self.each("refining depth", |i| {
-            let pixels = measured[i].disparity.iter().zip(&measured[i].confidence).zip(&filled[i]);
-            pixels.map(|((measured, confidence), filled)| if *confidence > 0.0 { *measured } else { *filled }).collect()
+            let pixels = measured[i]
+                .disparity
+                .iter()
+                .zip(&measured[i].confidence)
+                .zip(&filled[i]);
+            pixels
+                .map(|((measured, confidence), filled)| {
+                    if *confidence > 0.0 {
+                        *measured
+                    } else {
+                        *filled
+                    }
+                })
+                .collect()
         })?;
-        let clip = refine::Estimates { shots: self.shots, cameras, disparity: &start, moving };
+        let clip = refine::Estimates {
+            shots: self.shots,
+            cameras,
+            disparity: &start,
+            moving,
+        };
         let refined = self.each("refining depth", |i| {
             if keys.binary_search(&i).is_err() {
                 // what it shows is taken from the keyframes around it
                 return start[i].iter().map(|d| (*d, 0.0)).collect::<DepthMap>();
             }
-            let rounds: Vec<Vec<usize>> =
-                refine::PARALLAX_PX.iter().map(|targets| at(&all, i, targets, refine::FRAMES)).collect();
-            let mut out = Measured { disparity: clip.refined(&rounds, i), confidence: measured[i].confidence.clone() };
+            let rounds: Vec<Vec<usize>> = refine::PARALLAX_PX
+                .iter()
+                .map(|targets| at(&all, i, targets, refine::FRAMES))
+                .collect();
+            let mut out = Measured {
+                disparity: clip.refined(&rounds, i),
+                confidence: measured[i].confidence.clone(),
+            };
             self.mono.impose(i, &mut out, Some(&moving[i]));
-            out.disparity.into_iter().zip(out.confidence).collect::<DepthMap>()
+            out.disparity
+                .into_iter()
+                .zip(out.confidence)
+                .collect::<DepthMap>()
         })?;
         drop(start);
         let merged = self.each("merging depth", |i| {
-            fusion::fuse(self.shots, cameras, &refined, &at(&keys, i, &fusion::PARALLAX_PX, 0), i)
+            fusion::fuse(
+                self.shots,
+                cameras,
+                &refined,
+                &at(&keys, i, &fusion::PARALLAX_PX, 0),
+                i,
+            )
         })?;
         drop(refined);
-        let merged = edges::Merged { shots: self.shots, cameras, depth: &merged, moving };
+        let merged = edges::Merged {
+            shots: self.shots,
+            cameras,
+            depth: &merged,
+            moving,
+        };
         self.each("filling depth", |i| {
             let smoother = self.smoother(i);
             let mut fused = merged.assigned(i, &at(&all, i, &edges::PARALLAX_PX, 0), &smoother);
@@ -129,16 +183,26 @@ impl Clip<'_> {
     }
 
     /// For every frame in parallel, with progress.
-    fn each<T: Send>(&self, phase: &'static str, f: impl Fn(usize) -> T + Sync) -> Result<Vec<T>, DenseError> {
+    fn each<T: Send>(
+        &self,
+        phase: &'static str,
+        f: impl Fn(usize) -> T + Sync,
+    ) -> Result<Vec<T>, DenseError> {
         each(self.frames.len(), phase, self.progress, f)
     }
 
     /// Made anew where needed: cheaper than keeping them.
     pub fn smoother(&self, i: usize) -> Smoother {
-        Smoother::new(self.width, self.height, &self.shots[i].frame.rgb, FILL_SIGMA)
+        Smoother::new(
+            self.width,
+            self.height,
+            &self.shots[i].frame.rgb,
+            FILL_SIGMA,
+        )
     }
 
-    /// Masks of dynamic regions, with the outlines of the images as far as depth of this precision shows what is behind them.
+    /// Masks of dynamic regions, with the outlines of the images as far as depth of this precision
+    /// shows what is behind them.
     fn moving(&self, swept: &[Vec<f32>]) -> Result<Masks, DenseError> {
         let (mut last, mut measured) = self.round(swept, None)?;
         for _ in 1..ROUNDS {
@@ -165,14 +229,28 @@ impl Clip<'_> {
         let Some(segmenter) = self.sources.segmenter else {
             return Ok(moving);
         };
-        try_each(self.frames.len(), "segmenting dynamic objects", self.progress, |i| {
-            segment::sharpen(segmenter, self.frames[i], (self.width, self.height), &moving[i])
+        try_each(
+            self.frames.len(),
+            "segmenting dynamic objects",
+            self.progress,
+            |i| {
+                segment::sharpen(
+                    segmenter,
+                    self.frames[i],
+                    (self.width, self.height),
+                    &moving[i],
+                )
                 .map_err(|source| DenseError::Segment { frame: i, source })
-        })
+            },
+        )
     }
 
     /// Masks, given those of the round before, and the disparities that were measured with those.
-    fn round(&self, swept: &[Vec<f32>], before: Option<&[Vec<u8>]>) -> Result<(Masks, Vec<Measured>), DenseError> {
+    fn round(
+        &self,
+        swept: &[Vec<f32>],
+        before: Option<&[Vec<u8>]>,
+    ) -> Result<(Masks, Vec<Measured>), DenseError> {
         let (w, h) = (self.width, self.height);
         let measured = self.measured(swept, before)?;
         let filled = self.filled(&measured, before)?;
@@ -188,11 +266,19 @@ impl Clip<'_> {
         drop(filled);
         let memory = self.clues.rate.exact(MEMORY_S).max(1.0) as f32;
         let evidence = temporal::mean(w, &evidence, self.flows, memory, motion::trust);
-        Ok((self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))?, measured))
+        Ok((
+            self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))?,
+            measured,
+        ))
     }
 
-    /// The `swept` disparities that the neighbours confirm; dynamic pixels (above 0) confirm nothing.
-    fn measured(&self, swept: &[Vec<f32>], moving: Option<&[Vec<u8>]>) -> Result<Vec<Measured>, DenseError> {
+    /// The `swept` disparities that the neighbours confirm; dynamic pixels (above 0) confirm
+    /// nothing.
+    fn measured(
+        &self,
+        swept: &[Vec<f32>],
+        moving: Option<&[Vec<u8>]>,
+    ) -> Result<Vec<Measured>, DenseError> {
         self.each("comparing depth", |i| {
             let mut measured = static_depth::measure(self.shots, swept, moving, i);
             self.mono.impose(i, &mut measured, of(moving, i));
@@ -201,13 +287,18 @@ impl Clip<'_> {
     }
 
     /// The same everywhere, carried on into what was not measured or moves.
-    fn filled(&self, measured: &[Measured], moving: Option<&[Vec<u8>]>) -> Result<Vec<Vec<f32>>, DenseError> {
+    fn filled(
+        &self,
+        measured: &[Measured],
+        moving: Option<&[Vec<u8>]>,
+    ) -> Result<Vec<Vec<f32>>, DenseError> {
         self.each("filling depth", |i| {
             if self.parallax {
                 let measured = self.mono.with_prior(i, &measured[i], of(moving, i));
                 self.fill(i, &measured, of(moving, i))
             } else {
-                self.mono.without_parallax(i, layers::sphere(&self.clues.cameras[i]))
+                self.mono
+                    .without_parallax(i, layers::sphere(&self.clues.cameras[i]))
             }
         })
     }
@@ -218,12 +309,24 @@ impl Clip<'_> {
 
     /// Everything that may be dynamic, given masks that may be a little too narrow.
     fn grown(&self, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
-        self.each("growing masks", |i| dilated(&moving[i], self.width, self.height, background_model::GUARD_PX))
+        self.each("growing masks", |i| {
+            dilated(
+                &moving[i],
+                self.width,
+                self.height,
+                background_model::GUARD_PX,
+            )
+        })
     }
 
-    /// `moving` with the outlines of the images, by what the other frames show behind it: `background` is the static disparity, `near` what may be
-    /// dynamic.
-    fn sharpened(&self, moving: &[Vec<u8>], near: &[Vec<u8>], background: &[Vec<f32>]) -> Result<Masks, DenseError> {
+    /// `moving` with the outlines of the images, by what the other frames show behind it:
+    /// `background` is the static disparity, `near` what may be dynamic.
+    fn sharpened(
+        &self,
+        moving: &[Vec<u8>],
+        near: &[Vec<u8>],
+        background: &[Vec<f32>],
+    ) -> Result<Masks, DenseError> {
         let scene = background_model::Scene {
             width: self.width,
             height: self.height,
@@ -234,13 +337,20 @@ impl Clip<'_> {
             background,
             near,
         };
-        self.each("sharpening masks", |i| background_model::sharpen(&scene, i, &moving[i], &self.smoother(i)))
+        self.each("sharpening masks", |i| {
+            background_model::sharpen(&scene, i, &moving[i], &self.smoother(i))
+        })
     }
 }
 
 /// Nothing is measured in `moving` (above 0).
 fn distrust(measured: &mut Measured, moving: &[u8]) {
-    for (c, _) in measured.confidence.iter_mut().zip(moving).filter(|(_, moving)| **moving > 0) {
+    for (c, _) in measured
+        .confidence
+        .iter_mut()
+        .zip(moving)
+        .filter(|(_, moving)| **moving > 0)
+    {
         *c = 0.0;
     }
 }

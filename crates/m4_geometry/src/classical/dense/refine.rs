@@ -1,22 +1,26 @@
-//! Refines static depth below the precision of the sweep: Gauss-Newton on brightness over growing baselines.
+//! Refines static depth below the precision of the sweep: Gauss-Newton on brightness over growing
+//! baselines.
 
 use super::shot::{Pair, Shot};
 use super::working::pixel_at;
 use crate::smooth::box_blur;
 use m4_core::{Camera, cubic, quantile};
 
-/// Parallax of the frames of each round, pixels at the working size: the error that one round leaves is within reach of the next. A step at
-/// the widest parallax leaves a part of the error there, too, so there are two of them.
+/// Parallax of the frames of each round, pixels at the working size: the error that one round
+/// leaves is within reach of the next. A step at the widest parallax leaves a part of the error
+/// there, too, so there are two of them.
 pub(super) const PARALLAX_PX: [&[f64]; 4] = [&[12.0], &[12.0, 24.0], &[24.0, 48.0], &[24.0, 48.0]];
 /// Frames of a round, fewer where the clip has no more that are far enough away.
 pub(super) const FRAMES: usize = 4;
-/// Parallax between frames that are refined, pixels at the working size: those between them see the same, and merging brings its depth to them. With 2,
-/// 3 and 4 pixels static depth of `pendulum-1`, which has the least parallax of the first group, is off by 2, 4 and 4 % more, that of other scenes by as
-/// much as without.
+/// Parallax between frames that are refined, pixels at the working size: those between them see the
+/// same, and merging brings its depth to them. With 2, 3 and 4 pixels static depth of `pendulum-1`,
+/// which has the least parallax of the first group, is off by 2, 4 and 4 % more, that of other
+/// scenes by as much as without.
 pub(super) const KEYFRAME_PX: f64 = 3.0;
 /// Standard deviation of the disparity before, in steps of the sweep.
 const PRIOR_STEPS: f32 = 0.5;
-/// A pixel is taken for hidden in a frame whose own disparity there differs by more than this, in steps of the sweep.
+/// A pixel is taken for hidden in a frame whose own disparity there differs by more than this, in
+/// steps of the sweep.
 const HIDDEN_STEPS: f32 = 1.0;
 /// Least noise of the difference of two brightnesses, 0..255.
 const LEAST_NOISE: f32 = 0.5;
@@ -36,8 +40,9 @@ pub(super) struct Estimates<'a> {
 }
 
 impl Estimates<'_> {
-    /// The disparity of frame `i` after a round against each list of frames. In a window of 5x5 pixels the step is that of least squares with
-    /// the weights of Cauchy, held by the disparity before as far as its standard deviation allows, and by one step of the sweep. Exposure and
+    /// The disparity of frame `i` after a round against each list of frames. In a window of 5x5
+    /// pixels the step is that of least squares with the weights of Cauchy, held by the disparity
+    /// before as far as its standard deviation allows, and by one step of the sweep. Exposure and
     /// shading do not matter: differences count less their mean around the pixel.
     pub fn refined(&self, rounds: &[Vec<usize>], i: usize) -> Vec<f32> {
         let shot = &self.shots[i];
@@ -60,7 +65,8 @@ impl Estimates<'_> {
         out
     }
 
-    /// Adds the gradient and the curvature of the disparity of each pixel of frame `i` against frame `j`.
+    /// Adds the gradient and the curvature of the disparity of each pixel of frame `i` against
+    /// frame `j`.
     fn add(
         &self,
         slopes: &[[f32; 2]],
@@ -77,16 +83,30 @@ impl Estimates<'_> {
         let sample = |p: usize| {
             let at = pair.project((p % w) as f32, (p / w) as f32, disparity[p]);
             let q = pixel_at(w, h, at.x, at.y).filter(|_| at.disparity > 0.0)?;
-            if self.moving[i][p] > 0 || self.moving[j][q] > 0 || (self.disparity[j][q] - at.disparity).abs() > hidden {
+            if self.moving[i][p] > 0
+                || self.moving[j][q] > 0
+                || (self.disparity[j][q] - at.disparity).abs() > hidden
+            {
                 return None;
             }
             let z = at.disparity / disparity[p];
-            let (dx, dy) = ((pair.b[0] - at.x * pair.b[2]) * z, (pair.b[1] - at.y * pair.b[2]) * z);
-            Some((p, cubic(w, h, theirs, at.x, at.y) - mine[p], slopes[p][0] * dx + slopes[p][1] * dy))
+            let (dx, dy) = (
+                (pair.b[0] - at.x * pair.b[2]) * z,
+                (pair.b[1] - at.y * pair.b[2]) * z,
+            );
+            Some((
+                p,
+                cubic(w, h, theirs, at.x, at.y) - mine[p],
+                slopes[p][0] * dx + slopes[p][1] * dy,
+            ))
         };
         let mut samples: Vec<(usize, f32, f32)> = (0..w * h).filter_map(sample).collect();
         centre(w, h, &mut samples);
-        let mut sizes: Vec<f32> = samples.iter().step_by(NOISE_STRIDE).map(|s| s.1.abs()).collect();
+        let mut sizes: Vec<f32> = samples
+            .iter()
+            .step_by(NOISE_STRIDE)
+            .map(|s| s.1.abs())
+            .collect();
         let noise = 1.4826 * quantile(&mut sizes, 0.5).unwrap_or(0.0).max(LEAST_NOISE);
         for (p, residual, slope) in samples {
             let weight = 1.0 / (noise * noise + residual * residual);
@@ -96,19 +116,27 @@ impl Estimates<'_> {
     }
 }
 
-/// Takes the mean around its pixel out of the difference and the slope of every sample (pixel, difference, slope).
+/// Takes the mean around its pixel out of the difference and the slope of every sample (pixel,
+/// difference, slope).
 ///
-/// Both are of the aligned images. Means taken from each image before would leave a halo around every line and edge, of one width in all
-/// views, however much a view stretches the surface, and a plain surface beside an edge shows nothing but that halo.
+/// Both are of the aligned images. Means taken from each image before would leave a halo around
+/// every line and edge, of one width in all views, however much a view stretches the surface, and a
+/// plain surface beside an edge shows nothing but that halo.
 fn centre(width: usize, height: usize, samples: &mut [(usize, f32, f32)]) {
     let around = |of: fn(&(usize, f32, f32)) -> f32| {
         let mut plane = vec![0.0f32; width * height];
-        samples.iter().for_each(|sample| plane[sample.0] = of(sample));
+        samples
+            .iter()
+            .for_each(|sample| plane[sample.0] = of(sample));
         box_blur::<5>(width, height, &mut plane);
         box_blur::<5>(width, height, &mut plane);
         plane
     };
-    let (count, difference, slope) = (around(|_| 1.0), around(|sample| sample.1), around(|sample| sample.2));
+    let (count, difference, slope) = (
+        around(|_| 1.0),
+        around(|sample| sample.1),
+        around(|sample| sample.2),
+    );
     for sample in samples {
         sample.1 -= difference[sample.0] / count[sample.0];
         sample.2 -= slope[sample.0] / count[sample.0];
@@ -120,8 +148,13 @@ fn slopes(width: usize, height: usize, plane: &[f32]) -> Vec<[f32; 2]> {
     let at = |p: usize| {
         let (x, y) = (p % width, p / width);
         let (left, right) = (p - usize::from(x > 0), p + usize::from(x + 1 < width));
-        let (above, below) = (p - width * usize::from(y > 0), p + width * usize::from(y + 1 < height));
-        let slope = |a: usize, b: usize, step: usize| (plane[b] - plane[a]) / ((b - a) / step).max(1) as f32;
+        let (above, below) = (
+            p - width * usize::from(y > 0),
+            p + width * usize::from(y + 1 < height),
+        );
+        let slope = |a: usize, b: usize, step: usize| {
+            (plane[b] - plane[a]) / ((b - a) / step).max(1) as f32
+        };
         [slope(left, right, 1), slope(above, below, width)]
     };
     (0..width * height).map(at).collect()
@@ -138,23 +171,36 @@ mod tests {
         let (mut shots, cameras) = Shot::of_wall(7, (w, h), truth);
         // the exposure changes, and a shade goes over the wall with the camera
         for (i, shot) in shots.iter_mut().enumerate() {
-            shot.frame.grey.iter_mut().enumerate().for_each(|(p, grey)| *grey += 6.0 * i as f32 + 0.3 * (p % w) as f32);
+            shot.frame
+                .grey
+                .iter_mut()
+                .enumerate()
+                .for_each(|(p, grey)| *grey += 6.0 * i as f32 + 0.3 * (p % w) as f32);
         }
         let moving = vec![vec![0u8; w * h]; 7];
         let disparity = vec![vec![1.02 * truth; w * h]; 7];
-        let clip = Estimates { shots: &shots, cameras: &cameras, disparity: &disparity, moving: &moving };
+        let clip = Estimates {
+            shots: &shots,
+            cameras: &cameras,
+            disparity: &disparity,
+            moving: &moving,
+        };
         let found = clip.refined(&[vec![2, 4], vec![1, 5]], 3);
-        let inside = (0..w * h).filter(|p| (12..w - 12).contains(&(p % w)) && (4..h - 4).contains(&(p / w)));
+        let inside =
+            (0..w * h).filter(|p| (12..w - 12).contains(&(p % w)) && (4..h - 4).contains(&(p / w)));
         let errors: Vec<f32> = inside.map(|p| (found[p] / truth - 1.0).abs()).collect();
         let mean = errors.iter().sum::<f32>() / errors.len() as f32;
         assert!(mean < 0.002, "{mean} of 0.02 is left");
         // dynamic pixels stay as they are
         let moving = vec![vec![255u8; w * h]; 7];
-        let clip = Estimates { moving: &moving, ..clip };
+        let clip = Estimates {
+            moving: &moving,
+            ..clip
+        };
         assert_eq!(clip.refined(&[vec![2, 4]], 3), disparity[3]);
     }
-    /// One line on a plain wall, which the other camera sees a fifth larger: what is left of its mean in each image must not pull at the
-    /// plain surface beside it.
+    /// One line on a plain wall, which the other camera sees a fifth larger: what is left of its
+    /// mean in each image must not pull at the plain surface beside it.
     #[test]
     fn plain_surfaces_beside_a_line_stay_where_they_are() {
         let (w, h, truth) = (60, 40, 2.0_f32);
@@ -162,28 +208,46 @@ mod tests {
         cameras[1].c2w.translation.z = 1.0 / 12.0;
         let moving = vec![vec![0u8; w * h]; 2];
         // the wall in the two images, and how far pixels beside the line go
-        let place = |i: usize, x: usize| (x as f32 - 29.5) * if i == 0 { 1.0 } else { 5.0 / 6.0 } + 2.0 * i as f32;
+        let place = |i: usize, x: usize| {
+            (x as f32 - 29.5) * if i == 0 { 1.0 } else { 5.0 / 6.0 } + 2.0 * i as f32
+        };
         for (i, shot) in shots.iter_mut().enumerate() {
-            shot.frame.grey =
-                (0..w * h).map(|p| 90.0 + 60.0 * (-0.1 * (place(i, p % w) - 3.0).powi(2)).exp()).collect();
+            shot.frame.grey = (0..w * h)
+                .map(|p| 90.0 + 60.0 * (-0.1 * (place(i, p % w) - 3.0).powi(2)).exp())
+                .collect();
         }
         let disparity = vec![vec![truth; w * h], vec![1.2 * truth; w * h]];
         let moved = |shots: &[Shot]| {
-            let clip = Estimates { shots, cameras: &cameras, disparity: &disparity, moving: &moving };
+            let clip = Estimates {
+                shots,
+                cameras: &cameras,
+                disparity: &disparity,
+                moving: &moving,
+            };
             let found = clip.refined(&[vec![1], vec![1]], 0);
-            let beside =
-                (0..w * h).filter(|p| (6..11).contains(&(p % w).abs_diff(32)) && (4..h - 4).contains(&(p / w)));
-            beside.map(|p| (found[p] / truth - 1.0).abs()).fold(0.0, f32::max)
+            let beside = (0..w * h).filter(|p| {
+                (6..11).contains(&(p % w).abs_diff(32)) && (4..h - 4).contains(&(p / w))
+            });
+            beside
+                .map(|p| (found[p] / truth - 1.0).abs())
+                .fold(0.0, f32::max)
         };
         let now = moved(&shots);
         for shot in &mut shots {
             let mut mean = shot.frame.grey.clone();
             super::box_blur::<5>(w, h, &mut mean);
             super::box_blur::<5>(w, h, &mut mean);
-            shot.frame.grey.iter_mut().zip(mean).for_each(|(grey, mean)| *grey -= mean);
+            shot.frame
+                .grey
+                .iter_mut()
+                .zip(mean)
+                .for_each(|(grey, mean)| *grey -= mean);
         }
         let with_halos = moved(&shots);
-        assert!(now < 0.012 && with_halos > 0.025, "{now} of the disparity, {with_halos} with halos");
+        assert!(
+            now < 0.012 && with_halos > 0.025,
+            "{now} of the disparity, {with_halos} with halos"
+        );
     }
 
     #[test]
@@ -202,7 +266,10 @@ mod tests {
             } else {
                 -1e-4..1e-4
             };
-            assert!(range.contains(&difference) && slope.abs() < 1e-4, "pixel {p}: {difference}, {slope}");
+            assert!(
+                range.contains(&difference) && slope.abs() < 1e-4,
+                "pixel {p}: {difference}, {slope}"
+            );
         }
     }
 }

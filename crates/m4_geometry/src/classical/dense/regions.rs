@@ -10,7 +10,10 @@ pub(crate) struct Components {
 
 impl Components {
     pub fn of(width: usize, height: usize, mask: &[u8]) -> Self {
-        let mut out = Self { label: vec![0; width * height], pixels: Vec::new() };
+        let mut out = Self {
+            label: vec![0; width * height],
+            pixels: Vec::new(),
+        };
         let mut open = Vec::new();
         for seed in 0..width * height {
             if mask[seed] == 0 || out.label[seed] != 0 {
@@ -43,7 +46,10 @@ impl Components {
 /// Clears parts of fewer than `least` pixels, and fills holes of fewer.
 pub(super) fn clean(width: usize, height: usize, mask: &mut [u8], least: usize) {
     for value in [255u8, 0] {
-        let part: Vec<u8> = mask.iter().map(|&m| if m == value { 255 } else { 0 }).collect();
+        let part: Vec<u8> = mask
+            .iter()
+            .map(|&m| if m == value { 255 } else { 0 })
+            .collect();
         for pixels in Components::of(width, height, &part).pixels {
             if pixels.len() < least {
                 for i in pixels {
@@ -54,11 +60,14 @@ pub(super) fn clean(width: usize, height: usize, mask: &mut [u8], least: usize) 
     }
 }
 
-/// For each pixel of the set its distance to the nearest pixel outside of the set, in pixels; 0 outside. Where there is no
-/// outside, the distance is larger than the image. Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions" (2012).
+/// For each pixel of the set its distance to the nearest pixel outside of the set, in pixels; 0
+/// outside. Where there is no outside, the distance is larger than the image. Felzenszwalb and
+/// Huttenlocher, "Distance Transforms of Sampled Functions" (2012).
 pub(crate) fn to_outside(width: usize, height: usize, inside: impl Fn(usize) -> bool) -> Vec<f32> {
     let far = ((width + height) * (width + height)) as f32;
-    let mut squared: Vec<f32> = (0..width * height).map(|p| if inside(p) { far } else { 0.0 }).collect();
+    let mut squared: Vec<f32> = (0..width * height)
+        .map(|p| if inside(p) { far } else { 0.0 })
+        .collect();
     let mut line = Envelope::default();
     let mut column = vec![0.0; height];
     for x in 0..width {
@@ -136,7 +145,9 @@ mod tests {
     fn specks_go_and_holes_close() {
         let (w, h) = (12, 12);
         let square = |p: usize| (2..9).contains(&(p % w)) && (2..9).contains(&(p / w));
-        let mut mask: Vec<u8> = (0..w * h).map(|p| if square(p) { 255 } else { 0 }).collect();
+        let mut mask: Vec<u8> = (0..w * h)
+            .map(|p| if square(p) { 255 } else { 0 })
+            .collect();
         mask[5 * w + 5] = 0;
         mask[11 * w + 11] = 255;
         clean(w, h, &mut mask, 4);
@@ -152,7 +163,8 @@ mod tests {
         let outside: Vec<usize> = (0..w * h).filter(|&p| !set[p]).collect();
         let mut largest = 0.0f32;
         for p in 0..w * h {
-            let squared = |q: usize| (p % w).abs_diff(q % w).pow(2) + (p / w).abs_diff(q / w).pow(2);
+            let squared =
+                |q: usize| (p % w).abs_diff(q % w).pow(2) + (p / w).abs_diff(q / w).pow(2);
             let least = outside.iter().map(|&q| squared(q)).min().unwrap();
             assert_eq!(found[p], (least as f32).sqrt(), "pixel {p}");
             largest = largest.max(found[p]);

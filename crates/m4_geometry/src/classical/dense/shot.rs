@@ -1,4 +1,5 @@
-//! One frame with everything that the geometry of its neighbours needs, and where its pixels appear in another.
+//! One frame with everything that the geometry of its neighbours needs, and where its pixels appear
+//! in another.
 
 use super::sweep::{Range, census};
 use super::working::observed;
@@ -12,11 +13,13 @@ use m4_core::{
 
 /// Disparities tried between the farthest and the nearest surface.
 const HYPOTHESES: usize = 64;
-/// Parallax of a point at median depth between a frame and its partners on each side, pixels at the working size: one partner per
-/// target and side. At the widest a step between hypotheses is about a pixel, which tells the two sides of an edge apart; the narrowest sees
-/// what thin objects hide from the others.
+/// Parallax of a point at median depth between a frame and its partners on each side, pixels at the
+/// working size: one partner per target and side. At the widest a step between hypotheses is about
+/// a pixel, which tells the two sides of an edge apart; the narrowest sees what thin objects hide
+/// from the others.
 const PARALLAX_PX: [f64; 3] = [6.0, 12.0, 24.0];
-/// How much wider the parallax of another frame may be than the widest that is asked for, as the camera jumps.
+/// How much wider the parallax of another frame may be than the widest that is asked for, as the
+/// camera jumps.
 const WIDER: f64 = 1.5;
 /// Least parallax of a partner, pixels at the working size.
 const LEAST_PARALLAX_PX: f64 = 1.5;
@@ -42,12 +45,23 @@ pub(super) struct Shot {
 }
 
 /// Sparse points per frame, at the working size.
-pub(super) fn sparse_points(sparse: &SparseReconstruction, width: usize, height: usize) -> Vec<Vec<SparsePoint>> {
+pub(super) fn sparse_points(
+    sparse: &SparseReconstruction,
+    width: usize,
+    height: usize,
+) -> Vec<Vec<SparsePoint>> {
     let mut out = vec![Vec::new(); sparse.cameras.len()];
-    for (frame, pixel, track) in observed(sparse, width, height).filter(|(.., t)| t.motion != Motion::Dynamic) {
-        let z = track.point.map_or(0.0, |point| sparse.cameras[frame].project(&point).1);
+    for (frame, pixel, track) in
+        observed(sparse, width, height).filter(|(.., t)| t.motion != Motion::Dynamic)
+    {
+        let z = track
+            .point
+            .map_or(0.0, |point| sparse.cameras[frame].project(&point).1);
         if z > 0.0 && z.is_finite() {
-            out[frame].push(SparsePoint { pixel, disparity: (1.0 / z) as f32 });
+            out[frame].push(SparsePoint {
+                pixel,
+                disparity: (1.0 / z) as f32,
+            });
         }
     }
     out
@@ -58,8 +72,13 @@ pub(super) fn sparse_points(sparse: &SparseReconstruction, width: usize, height:
 fn range(points: &[Vec<SparsePoint>], i: usize) -> (Range, f32) {
     const WINDOW: usize = 8;
     const ENOUGH: usize = 50;
-    let collect =
-        |from: usize, to: usize| -> Vec<f32> { points[from..to].iter().flatten().map(|p| p.disparity).collect() };
+    let collect = |from: usize, to: usize| -> Vec<f32> {
+        points[from..to]
+            .iter()
+            .flatten()
+            .map(|p| p.disparity)
+            .collect()
+    };
     let mut values = collect(i.saturating_sub(WINDOW), (i + WINDOW + 1).min(points.len()));
     if values.len() < ENOUGH {
         values = collect(0, points.len());
@@ -68,12 +87,16 @@ fn range(points: &[Vec<SparsePoint>], i: usize) -> (Range, f32) {
     let far = quantile(&mut values, 0.01).unwrap_or(0.5);
     let near = quantile(&mut values, 0.99).unwrap_or(2.0);
     let (least, most) = (0.6 * far, 1.4 * near.max(1.2 * median));
-    let range = Range { least, step: (most - least) / (HYPOTHESES - 1) as f32, count: HYPOTHESES };
+    let range = Range {
+        least,
+        step: (most - least) / (HYPOTHESES - 1) as f32,
+        count: HYPOTHESES,
+    };
     (range, median)
 }
 
-/// On each side in time, the frame whose parallax comes nearest to each target; where the clip ends,
-/// the other side serves twice as many.
+/// On each side in time, the frame whose parallax comes nearest to each target; where the clip
+/// ends, the other side serves twice as many.
 fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
     let parallax = |j: usize| parallax_px(&cameras[i], &cameras[j], f64::from(median));
     let widest = WIDER * PARALLAX_PX.into_iter().fold(0.0, f64::max);
@@ -81,7 +104,13 @@ fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
     let side = |later: bool| -> Vec<(usize, f64)> {
         let mut beyond = false;
         (1..cameras.len())
-            .map_while(|k| if later { (i + k < cameras.len()).then_some(i + k) } else { i.checked_sub(k) })
+            .map_while(|k| {
+                if later {
+                    (i + k < cameras.len()).then_some(i + k)
+                } else {
+                    i.checked_sub(k)
+                }
+            })
             .map(|j| (j, parallax(j)))
             .take_while(|&(_, p)| !std::mem::replace(&mut beyond, p > widest))
             .filter(|&(_, p)| p >= LEAST_PARALLAX_PX)
@@ -91,7 +120,8 @@ fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
     let mut chosen: Vec<usize> = Vec::new();
     for target in PARALLAX_PX {
         for side in [&before, &after] {
-            // On a side that is too short for this target, another parallax on the other side serves.
+            // On a side that is too short for this target, another parallax on the other side
+            // serves.
             let reaches = side.iter().any(|&(_, p)| p >= 0.7 * target);
             let (side, target) = match (reaches, side == &before) {
                 (true, _) => (side, target),
@@ -106,12 +136,17 @@ fn partners(cameras: &[Camera], i: usize, median: f32) -> Vec<(usize, Pair)> {
         }
     }
     chosen.sort_unstable();
-    chosen.into_iter().map(|j| (j, Pair::new(&cameras[i], &cameras[j]))).collect()
+    chosen
+        .into_iter()
+        .map(|j| (j, Pair::new(&cameras[i], &cameras[j])))
+        .collect()
 }
 
-/// Of each target parallax the nearest of `frames` in time, on each side of frame `i`, that reaches it; none where the clip ends before. Parallax is
-/// that of a point at median depth, pixels at the working size. Where these are fewer than `least`, frames of the widest parallax that is left make up
-/// for it: a path that is short for its depth has many of them. `frames` are in order of time.
+/// Of each target parallax the nearest of `frames` in time, on each side of frame `i`, that reaches
+/// it; none where the clip ends before. Parallax is that of a point at median depth, pixels at the
+/// working size. Where these are fewer than `least`, frames of the widest parallax that is left
+/// make up for it: a path that is short for its depth has many of them. `frames` are in order of
+/// time.
 pub(super) fn at_parallax(
     cameras: &[Camera],
     frames: &[usize],
@@ -122,12 +157,18 @@ pub(super) fn at_parallax(
 ) -> Vec<usize> {
     /// Share of the widest parallax below which a frame adds nothing.
     const NARROW: f64 = 0.5;
-    let parallax: Vec<f64> = cameras.iter().map(|camera| parallax_px(&cameras[i], camera, f64::from(median))).collect();
+    let parallax: Vec<f64> = cameras
+        .iter()
+        .map(|camera| parallax_px(&cameras[i], camera, f64::from(median)))
+        .collect();
     let mut out = Vec::new();
     for &target in targets {
         let reaches = |j: &&usize| parallax[**j] >= target;
         let (before, after) = frames.split_at(frames.partition_point(|&j| j < i));
-        let sides = [before.iter().rev().find(reaches), after.iter().find(reaches)];
+        let sides = [
+            before.iter().rev().find(reaches),
+            after.iter().find(reaches),
+        ];
         for &j in sides.into_iter().flatten() {
             if parallax[j] < WIDER * target && !out.contains(&j) {
                 out.push(j);
@@ -136,11 +177,17 @@ pub(super) fn at_parallax(
     }
     if out.len() < least {
         let most = WIDER * targets.iter().copied().fold(0.0, f64::max);
-        let mut rest: Vec<usize> = frames.iter().copied().filter(|&j| j != i && parallax[j] < most).collect();
+        let mut rest: Vec<usize> = frames
+            .iter()
+            .copied()
+            .filter(|&j| j != i && parallax[j] < most)
+            .collect();
         rest.sort_by(|&a, &b| parallax[b].total_cmp(&parallax[a]));
         let enough = NARROW * rest.first().map_or(0.0, |&j| parallax[j]);
         let chosen = out.len();
-        let more = rest.into_iter().filter(|j| parallax[*j] > enough && !out[..chosen].contains(j));
+        let more = rest
+            .into_iter()
+            .filter(|j| parallax[*j] > enough && !out[..chosen].contains(j));
         let more: Vec<usize> = more.take(least - chosen).collect();
         out.extend(more);
     }
@@ -148,34 +195,71 @@ pub(super) fn at_parallax(
 }
 
 impl Shot {
-    pub fn new(frame: ScaledFrame, cameras: &[Camera], i: usize, points: &[Vec<SparsePoint>], parallax: bool) -> Self {
+    pub fn new(
+        frame: ScaledFrame,
+        cameras: &[Camera],
+        i: usize,
+        points: &[Vec<SparsePoint>],
+        parallax: bool,
+    ) -> Self {
         let (range, median) = range(points, i);
         Self {
             census: census(frame.width, frame.height, &frame.grey),
             points: points[i].clone(),
-            partners: if parallax { partners(cameras, i, median) } else { Vec::new() },
+            partners: if parallax {
+                partners(cameras, i, median)
+            } else {
+                Vec::new()
+            },
             range,
             median,
             frame,
         }
     }
 
-    /// A clip of a textured wall at `disparity`, an integer number of pixels of parallax at 1, by cameras that go to the right by one unit a frame.
+    /// A clip of a textured wall at `disparity`, an integer number of pixels of parallax at 1, by
+    /// cameras that go to the right by one unit a frame.
     #[cfg(test)]
-    pub fn of_wall(count: usize, (w, h): (usize, usize), disparity: f32) -> (Vec<Self>, Vec<Camera>) {
+    pub fn of_wall(
+        count: usize,
+        (w, h): (usize, usize),
+        disparity: f32,
+    ) -> (Vec<Self>, Vec<Camera>) {
         use m4_core::{Intrinsics, Se3};
-        let grey = |x: f32, y: f32| 128.0 + 50.0 * (0.9 * x + 0.3 * y).sin() + 40.0 * (0.37 * x - 0.8 * y).cos();
+        let grey = |x: f32, y: f32| {
+            128.0 + 50.0 * (0.9 * x + 0.3 * y).sin() + 40.0 * (0.37 * x - 0.8 * y).cos()
+        };
         let camera = |i: usize| Camera {
             intrinsics: Intrinsics::centred(w, h, 1.0),
-            c2w: Se3 { translation: Vector3::new(i as f64, 0.0, 0.0), ..Se3::identity() },
+            c2w: Se3 {
+                translation: Vector3::new(i as f64, 0.0, 0.0),
+                ..Se3::identity()
+            },
         };
         let cameras: Vec<Camera> = (0..count).map(camera).collect();
         let shot = |i: usize| {
-            let grey: Vec<f32> =
-                (0..w * h).map(|p| grey((p % w) as f32 + i as f32 * disparity, (p / w) as f32)).collect();
-            let frame = ScaledFrame { width: w, height: h, rgb: vec![[0; 3]; w * h], grey };
-            let range = Range { least: 0.5 * disparity, step: disparity / 20.0, count: 31 };
-            Self { frame, census: Vec::new(), points: Vec::new(), partners: Vec::new(), range, median: disparity }
+            let grey: Vec<f32> = (0..w * h)
+                .map(|p| grey((p % w) as f32 + i as f32 * disparity, (p / w) as f32))
+                .collect();
+            let frame = ScaledFrame {
+                width: w,
+                height: h,
+                rgb: vec![[0; 3]; w * h],
+                grey,
+            };
+            let range = Range {
+                least: 0.5 * disparity,
+                step: disparity / 20.0,
+                count: 31,
+            };
+            Self {
+                frame,
+                census: Vec::new(),
+                points: Vec::new(),
+                partners: Vec::new(),
+                range,
+                median: disparity,
+            }
         };
         ((0..count).map(shot).collect(), cameras)
     }
@@ -183,9 +267,20 @@ impl Shot {
     /// A frame of which the colours alone are asked for.
     #[cfg(test)]
     pub fn of_colours(image: &m4_core::RgbImage) -> Self {
-        let range = Range { least: 1.0, step: 1.0, count: 1 };
+        let range = Range {
+            least: 1.0,
+            step: 1.0,
+            count: 1,
+        };
         let frame = ScaledFrame::new(image, image.size());
-        Self { frame, census: Vec::new(), points: Vec::new(), partners: Vec::new(), range, median: 1.0 }
+        Self {
+            frame,
+            census: Vec::new(),
+            points: Vec::new(),
+            partners: Vec::new(),
+            range,
+            median: 1.0,
+        }
     }
 }
 
@@ -240,9 +335,22 @@ impl Pair {
     pub fn project_with_slope(&self, x: f32, y: f32, disparity: f32) -> (Reprojected, [f32; 2]) {
         let r = self.ray(x, y);
         let z = 1.0 / (r[2] + disparity * self.b[2]);
-        let (x, y) = ((r[0] + disparity * self.b[0]) * z, (r[1] + disparity * self.b[1]) * z);
-        let slope = [(self.b[0] - x * self.b[2]) * z, (self.b[1] - y * self.b[2]) * z];
-        (Reprojected { x, y, disparity: disparity * z }, slope)
+        let (x, y) = (
+            (r[0] + disparity * self.b[0]) * z,
+            (r[1] + disparity * self.b[1]) * z,
+        );
+        let slope = [
+            (self.b[0] - x * self.b[2]) * z,
+            (self.b[1] - y * self.b[2]) * z,
+        ];
+        (
+            Reprojected {
+                x,
+                y,
+                disparity: disparity * z,
+            },
+            slope,
+        )
     }
 }
 
@@ -252,7 +360,10 @@ pub(super) fn parallax_px(from: &Camera, to: &Camera, disparity: f64) -> f64 {
     let pair = Pair::new(from, to);
     let k = &from.intrinsics;
     let (x, y) = ((k.width as f32 - 1.0) / 2.0, (k.height as f32 - 1.0) / 2.0);
-    let (far, near) = (pair.project(x, y, 0.0), pair.project(x, y, disparity as f32));
+    let (far, near) = (
+        pair.project(x, y, 0.0),
+        pair.project(x, y, disparity as f32),
+    );
     if far.disparity.is_finite() && near.disparity > 0.0 {
         f64::from((near.x - far.x).hypot(near.y - far.y))
     } else {
@@ -260,12 +371,15 @@ pub(super) fn parallax_px(from: &Camera, to: &Camera, disparity: f64) -> f64 {
     }
 }
 
-/// Frames that are `px` pixels of parallax apart, of a point at median depth, at the working size; the first and the last are among them.
+/// Frames that are `px` pixels of parallax apart, of a point at median depth, at the working size;
+/// the first and the last are among them.
 pub(super) fn keyframes(cameras: &[Camera], shots: &[Shot], px: f64) -> Vec<usize> {
     let mut out = vec![0];
     for i in 1..cameras.len() {
         let last = out[out.len() - 1];
-        if i + 1 == cameras.len() || parallax_px(&cameras[last], &cameras[i], f64::from(shots[last].median)) >= px {
+        if i + 1 == cameras.len()
+            || parallax_px(&cameras[last], &cameras[i], f64::from(shots[last].median)) >= px
+        {
             out.push(i);
         }
     }
@@ -280,7 +394,10 @@ mod tests {
     #[test]
     fn projects_as_the_cameras_do() {
         let camera = |twist: Vector6<f64>| Camera {
-            intrinsics: Intrinsics { cx: 30.0, ..Intrinsics::centred(64, 48, 50.0) },
+            intrinsics: Intrinsics {
+                cx: 30.0,
+                ..Intrinsics::centred(64, 48, 50.0)
+            },
             c2w: Se3::identity().retract(&twist),
         };
         let a = camera(Vector6::new(0.1, 0.0, -0.2, 0.05, 0.1, 0.0));
@@ -288,7 +405,10 @@ mod tests {
         let (x, y, z) = (20.0, 31.0, 2.5);
         let ([u, v], depth) = b.project(&a.unproject(x, y, z));
         let seen = Pair::new(&a, &b).project(x as f32, y as f32, (1.0 / z) as f32);
-        assert!((f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3, "{seen:?} {u} {v}");
+        assert!(
+            (f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3,
+            "{seen:?} {u} {v}"
+        );
         assert!((1.0 / f64::from(seen.disparity) - depth).abs() < 1e-4);
     }
 
@@ -296,7 +416,10 @@ mod tests {
     fn partners_are_chosen_by_parallax_at_every_frame_rate() {
         let chosen = |count: usize, px: f32, i: usize| -> Vec<usize> {
             let (_, cameras) = Shot::of_wall(count, (64, 48), px);
-            partners(&cameras, i, px).into_iter().map(|(j, _)| j).collect()
+            partners(&cameras, i, px)
+                .into_iter()
+                .map(|(j, _)| j)
+                .collect()
         };
         assert_eq!(chosen(61, 2.0, 30), [18, 24, 27, 33, 36, 42]);
         assert_eq!(chosen(241, 0.5, 120), [72, 96, 108, 132, 144, 168]);
@@ -306,7 +429,10 @@ mod tests {
         let (_, mut cameras) = Shot::of_wall(61, (64, 48), 2.0);
         let still = cameras[0];
         cameras.splice(0..0, vec![still; 60]);
-        let later: Vec<usize> = partners(&cameras, 10, 2.0).into_iter().map(|(j, _)| j).collect();
+        let later: Vec<usize> = partners(&cameras, 10, 2.0)
+            .into_iter()
+            .map(|(j, _)| j)
+            .collect();
         assert_eq!(later, [63, 64, 66, 68, 72, 77]);
     }
 
@@ -315,7 +441,9 @@ mod tests {
         // 2 px of parallax from one frame to the next
         let (_, cameras) = Shot::of_wall(9, (64, 48), 2.0);
         let all: Vec<usize> = (0..9).collect();
-        let chosen = |i: usize, targets: &[f64], least: usize| at_parallax(&cameras, &all, i, 2.0, targets, least);
+        let chosen = |i: usize, targets: &[f64], least: usize| {
+            at_parallax(&cameras, &all, i, 2.0, targets, least)
+        };
         assert_eq!(chosen(4, &[4.0, 8.0], 4), [2, 6, 0, 8]);
         assert_eq!(chosen(0, &[12.0, 24.0], 0), [6]);
         // the widest first, none below half of the widest, none beyond what was asked for
@@ -323,7 +451,10 @@ mod tests {
         assert_eq!(chosen(0, &[12.0, 24.0], 9), [6, 8, 7, 5]);
         assert_eq!(chosen(0, &[6.0], 3), [3, 4]);
         // of the frames that are asked for, whether or not the frame itself is one of them
-        assert_eq!(at_parallax(&cameras, &[0, 3, 6, 8], 4, 2.0, &[4.0, 8.0], 4), [6, 0, 8]);
+        assert_eq!(
+            at_parallax(&cameras, &[0, 3, 6, 8], 4, 2.0, &[4.0, 8.0], 4),
+            [6, 0, 8]
+        );
     }
 
     #[test]
@@ -343,8 +474,16 @@ mod tests {
 
     #[test]
     fn parallax_is_focal_times_baseline_times_disparity() {
-        let still = Camera { intrinsics: Intrinsics::centred(64, 48, 50.0), c2w: Se3::identity() };
-        let aside = Camera { c2w: still.c2w.retract(&Vector6::new(0.3, 0.0, 0.0, 0.0, 0.0, 0.0)), ..still };
+        let still = Camera {
+            intrinsics: Intrinsics::centred(64, 48, 50.0),
+            c2w: Se3::identity(),
+        };
+        let aside = Camera {
+            c2w: still
+                .c2w
+                .retract(&Vector6::new(0.3, 0.0, 0.0, 0.0, 0.0, 0.0)),
+            ..still
+        };
         assert!((parallax_px(&still, &aside, 0.5) - 50.0 * 0.3 * 0.5).abs() < 1e-3);
         assert_eq!(parallax_px(&still, &still, 0.5), 0.0);
     }

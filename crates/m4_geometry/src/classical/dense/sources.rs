@@ -1,4 +1,5 @@
-//! The methods, settings and errors of the dense half. All other values are constants of the files that use them.
+//! The methods, settings and errors of the dense half. All other values are constants of the files
+//! that use them.
 
 use super::mono::MonoDepth;
 use super::segment::Segmenter;
@@ -10,10 +11,12 @@ use serde::{Deserialize, Serialize};
 /// Why a network or another method failed.
 pub type SourceError = Box<dyn std::error::Error + Send + Sync>;
 
-/// Measures flow between frame `i` and the next: from the first to the second, and back, of the size of the images.
+/// Measures flow between frame `i` and the next: from the first to the second, and back, of the
+/// size of the images.
 ///
 /// Called from several threads at once; the same images must give the same bits.
-pub type MeasureFlow<'a> = dyn Fn(usize, &ScaledFrame, &ScaledFrame) -> Result<(Flow, Flow), SourceError> + Sync + 'a;
+pub type MeasureFlow<'a> =
+    dyn Fn(usize, &ScaledFrame, &ScaledFrame) -> Result<(Flow, Flow), SourceError> + Sync + 'a;
 
 /// The methods for flow, segmentation and monocular depth.
 #[derive(Clone, Copy)]
@@ -30,11 +33,12 @@ pub struct Sources<'a> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DenseConfig {
-    /// Longest side of the images that flow, depth and masks are computed on, pixels; frames that are smaller are used as they are.
-    /// The specification has "320-384"; 480 finds masks and thin parts that 320 misses and keeps 96 frames under a minute and a half
-    /// on two cores.
+    /// Longest side of the images that flow, depth and masks are computed on, pixels; frames that
+    /// are smaller are used as they are. The specification has "320-384"; 480 finds masks and thin
+    /// parts that 320 misses and keeps 96 frames under a minute and a half on two cores.
     pub working_side_px: usize,
-    /// Memory for the planes of all frames together, megabytes: long clips are processed at a smaller size. 4096: 270 frames at 480x360.
+    /// Memory for the planes of all frames together, megabytes: long clips are processed at a
+    /// smaller size. 4096: 270 frames at 480x360.
     pub memory_mb: usize,
     /// Whether points of the dynamic region are tracked through the clip.
     pub tracks: bool,
@@ -42,7 +46,11 @@ pub struct DenseConfig {
 
 impl Default for DenseConfig {
     fn default() -> Self {
-        Self { working_side_px: 480, memory_mb: 4096, tracks: true }
+        Self {
+            working_side_px: 480,
+            memory_mb: 4096,
+            tracks: true,
+        }
     }
 }
 

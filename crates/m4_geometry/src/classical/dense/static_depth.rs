@@ -25,12 +25,19 @@ pub(super) struct Measured {
     pub confidence: Vec<f32>,
 }
 
-/// The disparity of every pixel of one frame, which nothing confirms later on if it has no partners.
+/// The disparity of every pixel of one frame, which nothing confirms later on if it has no
+/// partners.
 pub(super) fn sweep(shots: &[Shot], i: usize) -> Vec<f32> {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
-    let partners: Vec<Partner<'_>> =
-        shot.partners.iter().map(|(j, pair)| Partner { pair: *pair, census: &shots[*j].census }).collect();
+    let partners: Vec<Partner<'_>> = shot
+        .partners
+        .iter()
+        .map(|(j, pair)| Partner {
+            pair: *pair,
+            census: &shots[*j].census,
+        })
+        .collect();
     if partners.is_empty() {
         return vec![shot.range.at(0.5 * shot.range.count as f32); w * h];
     }
@@ -39,11 +46,20 @@ pub(super) fn sweep(shots: &[Shot], i: usize) -> Vec<f32> {
     index.into_iter().map(|k| shot.range.at(k)).collect()
 }
 
-/// Keeps what the partners' own sweeps confirm. Moving pixels (`moving[frame]`, above 0) confirm nothing.
-pub(super) fn measure(shots: &[Shot], swept: &[Vec<f32>], moving: Option<&[Vec<u8>]>, i: usize) -> Measured {
+/// Keeps what the partners' own sweeps confirm. Moving pixels (`moving[frame]`, above 0) confirm
+/// nothing.
+pub(super) fn measure(
+    shots: &[Shot],
+    swept: &[Vec<f32>],
+    moving: Option<&[Vec<u8>]>,
+    i: usize,
+) -> Measured {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
-    let mut out = Measured { disparity: swept[i].clone(), confidence: vec![0.0; w * h] };
+    let mut out = Measured {
+        disparity: swept[i].clone(),
+        confidence: vec![0.0; w * h],
+    };
     let needed = shot.partners.len().min(2);
     if needed == 0 {
         return out;
@@ -72,7 +88,8 @@ pub(super) fn measure(shots: &[Shot], swept: &[Vec<f32>], moving: Option<&[Vec<u
     out
 }
 
-/// Distrusts patches of fewer than [`LEAST_PATCH_PX`] pixels that continue nothing around them: chance agreement.
+/// Distrusts patches of fewer than [`LEAST_PATCH_PX`] pixels that continue nothing around them:
+/// chance agreement.
 fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
     let (disparity, confidence) = (&measured.disparity, &mut measured.confidence);
     let mut seen = vec![false; width * height];
@@ -108,11 +125,16 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
     }
 }
 
-/// A disparity for every pixel: measurements and sparse points where there are any, and between them
-/// what the image's edges let through.
+/// A disparity for every pixel: measurements and sparse points where there are any, and between
+/// them what the image's edges let through.
 ///
 /// Points within `moving` (above 0) are not used: nothing there is static.
-pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
+pub(super) fn fill(
+    shot: &Shot,
+    smoother: &Smoother,
+    measured: &Measured,
+    moving: Option<&[u8]>,
+) -> Vec<f32> {
     /// Weight of the surroundings against a pixel on which all partners agree.
     const SURROUNDINGS: f32 = 0.15;
     let (mut values, mut weight) = with_points(shot, measured, moving);
@@ -130,22 +152,37 @@ pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, moving
     }
     // Noise goes where the image is flat and stays where it has edges.
     let (mut filled, _) = smoother.fill(&values, &weight, DENOISE_LAMBDA);
-    filled.iter_mut().for_each(|d| *d = d.max(0.5 * shot.range.least));
+    filled
+        .iter_mut()
+        .for_each(|d| *d = d.max(0.5 * shot.range.least));
     filled
 }
 
-/// The same by planes, which cost more, for measurements that are mostly true: surfaces go on with their slope where nothing was measured, and
-/// noise is what differs from the planes.
-pub(super) fn fill_planes(shot: &Shot, mut smoother: Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
+/// The same by planes, which cost more, for measurements that are mostly true: surfaces go on with
+/// their slope where nothing was measured, and noise is what differs from the planes.
+pub(super) fn fill_planes(
+    shot: &Shot,
+    mut smoother: Smoother,
+    measured: &Measured,
+    moving: Option<&[u8]>,
+) -> Vec<f32> {
     /// Weight of the surroundings against a pixel of full confidence.
     const SURROUNDINGS: f32 = 0.02;
     /// Neighbours that differ by more than this are of two surfaces, steps of the sweep.
     const SURFACE_STEPS: f32 = 2.0;
-    /// Strength of the smoothing of what differs from the planes, pixels squared: more than where [`fill`] smooths depth itself, since slopes stay.
+    /// Strength of the smoothing of what differs from the planes, pixels squared: more than where
+    /// [`fill`] smooths depth itself, since slopes stay.
     const REST_LAMBDA: f32 = 16.0;
     let (mut values, mut weight) = with_points(shot, measured, moving);
-    let (least, most) = (0.5 * shot.range.least, 2.0 * shot.range.at(shot.range.count as f32));
-    smoother.cut(&measured.disparity, &measured.confidence, SURFACE_STEPS * shot.range.step);
+    let (least, most) = (
+        0.5 * shot.range.least,
+        2.0 * shot.range.at(shot.range.count as f32),
+    );
+    smoother.cut(
+        &measured.disparity,
+        &measured.confidence,
+        SURFACE_STEPS * shot.range.step,
+    );
     let mut planes = smoother.planes(&values, &weight, FILL_LAMBDA);
     for ((v, w), plane) in values.iter_mut().zip(&mut weight).zip(&mut planes) {
         *plane = plane.clamp(least, most);
@@ -153,13 +190,21 @@ pub(super) fn fill_planes(shot: &Shot, mut smoother: Smoother, measured: &Measur
         *w += SURROUNDINGS;
     }
     let (rest, _) = smoother.fill(&values, &weight, REST_LAMBDA);
-    planes.iter().zip(&rest).map(|(plane, rest)| (plane + rest).max(least)).collect()
+    planes
+        .iter()
+        .zip(&rest)
+        .map(|(plane, rest)| (plane + rest).max(least))
+        .collect()
 }
 
 /// Measurements with the sparse points outside of `moving`, and the weight of each.
 fn with_points(shot: &Shot, measured: &Measured, moving: Option<&[u8]>) -> (Vec<f32>, Vec<f32>) {
     let (mut values, mut weight) = (measured.disparity.clone(), measured.confidence.clone());
-    for point in shot.points.iter().filter(|p| moving.is_none_or(|m| m[p.pixel] == 0)) {
+    for point in shot
+        .points
+        .iter()
+        .filter(|p| moving.is_none_or(|m| m[p.pixel] == 0))
+    {
         let total = weight[point.pixel] + POINT_WEIGHT;
         let sum = values[point.pixel] * weight[point.pixel] + point.disparity * POINT_WEIGHT;
         (values[point.pixel], weight[point.pixel]) = (sum / total, total);

@@ -1,4 +1,5 @@
-//! Plane sweep: what each disparity costs at each pixel, and the disparity of least cost in agreement with the pixels around.
+//! Plane sweep: what each disparity costs at each pixel, and the disparity of least cost in
+//! agreement with the pixels around.
 
 use super::shot::Pair;
 use fearless_simd::Level;
@@ -81,7 +82,8 @@ const MAX_PARTNERS: usize = 6;
 /// The pixel of a place outside of an image.
 const OUTSIDE: u32 = u32::MAX;
 
-/// Rounds a number to the nearest integer; arbitrary from four million on. As fast as an addition, where `as` goes number by number.
+/// Rounds a number to the nearest integer; arbitrary from four million on. As fast as an addition,
+/// where `as` goes number by number.
 #[inline(always)]
 fn nearest(x: f32) -> u32 {
     /// Floats are the integers from four million below to four million above.
@@ -110,7 +112,11 @@ fn fill<const N: usize>(
             for (costs, partner) in costs.iter_mut().zip(partners) {
                 let b = partner.pair.b;
                 let [qx, qy, qz] = partner.pair.ray(x as f32, y as f32);
-                let (qx, qy, qz) = (qx + range.least * b[0], qy + range.least * b[1], qz + range.least * b[2]);
+                let (qx, qy, qz) = (
+                    qx + range.least * b[0],
+                    qy + range.least * b[1],
+                    qz + range.least * b[2],
+                );
                 let (sx, sy, sz) = (range.step * b[0], range.step * b[1], range.step * b[2]);
                 for (pixel, &k) in pixels.iter_mut().zip(&steps) {
                     let z = 1.0 / (qz + k * sz);
@@ -133,7 +139,8 @@ fn fill<const N: usize>(
     }
 }
 
-/// Twice the mean of the smaller half of `costs`, of six at most, among those that are not `u8::MAX`; [`UNKNOWN`] if all are. Without branches.
+/// Twice the mean of the smaller half of `costs`, of six at most, among those that are not
+/// `u8::MAX`; [`UNKNOWN`] if all are. Without branches.
 #[inline(always)]
 fn better_half<const N: usize>(costs: [u8; N]) -> u8 {
     // the three least, in order
@@ -143,7 +150,11 @@ fn better_half<const N: usize>(costs: [u8; N]) -> u8 {
         (a, b, c) = (a.min(cost), b.min(not_a), c.min(not_b));
         seen += u8::from(cost != u8::MAX);
     }
-    let [one, two, three] = [u16::from(a), u16::from(a) + u16::from(b), u16::from(a) + u16::from(b) + u16::from(c)];
+    let [one, two, three] = [
+        u16::from(a),
+        u16::from(a) + u16::from(b),
+        u16::from(a) + u16::from(b) + u16::from(c),
+    ];
     // the half of 1 or 2, of 3 or 4, of 5 or 6 partners
     let mean = if seen <= 2 { 2 * one } else { two };
     let mean = if seen <= 4 { mean } else { 2 * three / 3 };
@@ -152,7 +163,8 @@ fn better_half<const N: usize>(costs: [u8; N]) -> u8 {
 
 /// Penalty of a disparity step of one between neighbours, census bits (Hirschmueller 2008, P1).
 const SMALL_STEP: i16 = 6;
-/// Penalty of a larger step on a flat image, census bits (P2); divided by the brightness step, never below [`SMALL_STEP`].
+/// Penalty of a larger step on a flat image, census bits (P2); divided by the brightness step,
+/// never below [`SMALL_STEP`].
 const LARGE_STEP: i16 = 40;
 /// Brightness step that halves the large penalty, 0..255.
 const EDGE: f32 = 10.0;
@@ -165,16 +177,24 @@ struct Path {
     least: i16,
 }
 
-/// Semi-global aggregation along eight directions (Hirschmueller 2008): the disparity of least aggregated cost a pixel, `[height][width]`: index into the range, with a fraction.
-pub(super) fn aggregate(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32]) -> Vec<f32> {
+/// Semi-global aggregation along eight directions (Hirschmueller 2008): the disparity of least
+/// aggregated cost a pixel, `[height][width]`: index into the range, with a fraction.
+pub(super) fn aggregate(
+    width: usize,
+    height: usize,
+    count: usize,
+    volume: &[u8],
+    grey: &[f32],
+) -> Vec<f32> {
     let mut total = vec![0i16; width * height * count];
     dispatch!(Level::new(), _s => pass::<true>(width, height, count, volume, grey, &mut total));
     dispatch!(Level::new(), _s => pass::<false>(width, height, count, volume, grey, &mut total));
     winner(count, &total)
 }
 
-/// Adds four directions: along the row, and from the three neighbours in the previous row. The pass downwards comes first: it sets the
-/// total without reading it, since memory that is read before it is written costs an interrupt of every core for each page.
+/// Adds four directions: along the row, and from the three neighbours in the previous row. The pass
+/// downwards comes first: it sets the total without reading it, since memory that is read before it
+/// is written costs an interrupt of every core for each page.
 #[inline(always)]
 fn pass<const DOWNWARDS: bool>(
     width: usize,
@@ -185,7 +205,10 @@ fn pass<const DOWNWARDS: bool>(
     total: &mut [i16],
 ) {
     let downwards = DOWNWARDS;
-    let fresh = || Path { values: vec![FAR; count + 2], least: 0 };
+    let fresh = || Path {
+        values: vec![FAR; count + 2],
+        least: 0,
+    };
     let rows = |n: usize| (0..n).map(|_| fresh()).collect::<Vec<Path>>();
     // [direction][column]; the row before and the row being made.
     let mut before: [Vec<Path>; 3] = std::array::from_fn(|_| rows(width));
@@ -200,7 +223,11 @@ fn pass<const DOWNWARDS: bool>(
             let cost = &volume[i * count..(i + 1) * count];
             let out = &mut total[i * count..(i + 1) * count];
             let beside = |n: usize, size: usize, back: bool| {
-                if back { n.checked_sub(1) } else { (n + 1 < size).then_some(n + 1) }
+                if back {
+                    n.checked_sub(1)
+                } else {
+                    (n + 1 < size).then_some(n + 1)
+                }
             };
             let before_x = beside(x, width, downwards);
             let large = |j: usize| {
@@ -208,7 +235,14 @@ fn pass<const DOWNWARDS: bool>(
                 ((f32::from(LARGE_STEP) * fade) as i16).max(SMALL_STEP)
             };
             match before_x {
-                Some(px) => extend::<DOWNWARDS>(cost, &left, SMALL_STEP, large(y * width + px), &mut here, out),
+                Some(px) => extend::<DOWNWARDS>(
+                    cost,
+                    &left,
+                    SMALL_STEP,
+                    large(y * width + px),
+                    &mut here,
+                    out,
+                ),
                 None => extend::<DOWNWARDS>(cost, &start, 0, 0, &mut here, out),
             }
             std::mem::swap(&mut left, &mut here);
@@ -229,13 +263,25 @@ fn pass<const DOWNWARDS: bool>(
     }
 }
 
-/// One step of equation 13: `cost + min(same, neighbour + p1, least + p2) - least`; sets or adds to the total.
+/// One step of equation 13: `cost + min(same, neighbour + p1, least + p2) - least`; sets or adds to
+/// the total.
 #[inline(always)]
-fn extend<const SETS: bool>(cost: &[u8], from: &Path, p1: i16, p2: i16, to: &mut Path, total: &mut [i16]) {
+fn extend<const SETS: bool>(
+    cost: &[u8],
+    from: &Path,
+    p1: i16,
+    p2: i16,
+    to: &mut Path,
+    total: &mut [i16],
+) {
     let n = cost.len();
     // A start holds FAR everywhere and a least of 0, so `least + p2` wins and the cost is plain.
     let jump = from.least + p2;
-    let (down, same, up) = (&from.values[..n], &from.values[1..=n], &from.values[2..n + 2]);
+    let (down, same, up) = (
+        &from.values[..n],
+        &from.values[1..=n],
+        &from.values[2..n + 2],
+    );
     let values = &mut to.values[1..=n];
     let mut least = i16::MAX;
     for d in 0..n {
@@ -259,7 +305,11 @@ fn winner(count: usize, total: &[i16]) -> Vec<f32> {
         let mut index = best as f32;
         if best > 0 && best + 1 < count {
             // The vertex of the parabola through the three costs.
-            let (a, b, c) = (f32::from(cost[best - 1]), f32::from(least), f32::from(cost[best + 1]));
+            let (a, b, c) = (
+                f32::from(cost[best - 1]),
+                f32::from(least),
+                f32::from(cost[best + 1]),
+            );
             let bend = a + c - 2.0 * b;
             if bend > 0.0 {
                 index += (0.5 * (a - c) / bend).clamp(-0.5, 0.5);
@@ -272,7 +322,9 @@ fn winner(count: usize, total: &[i16]) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::{MAX_PARTNERS, Pair, Partner, Range, UNKNOWN, aggregate, better_half, census, cost_volume};
+    use super::{
+        MAX_PARTNERS, Pair, Partner, Range, UNKNOWN, aggregate, better_half, census, cost_volume,
+    };
     use m4_core::CounterRng;
 
     #[test]
@@ -297,43 +349,78 @@ mod tests {
     }
 
     /// What [`super::cost_volume`] says of one pixel and disparity, by its definition.
-    fn cost(size: [usize; 2], census: &[u32], partners: &[Partner<'_>], at: [usize; 2], disparity: f32) -> u8 {
+    fn cost(
+        size: [usize; 2],
+        census: &[u32],
+        partners: &[Partner<'_>],
+        at: [usize; 2],
+        disparity: f32,
+    ) -> u8 {
         let [w, h] = size;
         let mut seen: Vec<u32> = partners
             .iter()
             .filter_map(|partner| {
                 let p = partner.pair.project(at[0] as f32, at[1] as f32, disparity);
                 let (u, v) = ((p.x + 0.5).floor(), (p.y + 0.5).floor());
-                let inside = p.disparity > 0.0 && u >= 0.0 && v >= 0.0 && u < w as f32 && v < h as f32;
-                inside.then(|| (census[at[1] * w + at[0]] ^ partner.census[v as usize * w + u as usize]).count_ones())
+                let inside =
+                    p.disparity > 0.0 && u >= 0.0 && v >= 0.0 && u < w as f32 && v < h as f32;
+                inside.then(|| {
+                    (census[at[1] * w + at[0]] ^ partner.census[v as usize * w + u as usize])
+                        .count_ones()
+                })
             })
             .collect();
         seen.sort_unstable();
         let half = seen.len().div_ceil(2);
-        if half == 0 { UNKNOWN } else { (2 * seen[..half].iter().sum::<u32>() / half as u32) as u8 }
+        if half == 0 {
+            UNKNOWN
+        } else {
+            (2 * seen[..half].iter().sum::<u32>() / half as u32) as u8
+        }
     }
 
     #[test]
     fn costs_are_those_of_the_definition_for_every_number_of_partners() {
         let (w, h) = (31, 17);
         let mut rng = CounterRng::new(7, 0, 0);
-        let mut signatures = || -> Vec<u32> { (0..w * h).map(|_| rng.below(1 << 24) as u32).collect() };
+        let mut signatures =
+            || -> Vec<u32> { (0..w * h).map(|_| rng.below(1 << 24) as u32).collect() };
         let own = signatures();
         let others: Vec<Vec<u32>> = (0..MAX_PARTNERS).map(|_| signatures()).collect();
         // a shift of 3 and -2 pixels per unit of disparity, and a camera that also goes ahead
         let pair = |n: usize| Pair {
             a: [[1.0, 0.0, 0.2371], [0.0, 1.0, 0.3117], [0.0, 0.0, 1.0]],
-            b: [3.0 - n as f32, n as f32 - 2.0, if n.is_multiple_of(2) { 0.0 } else { -0.2 }],
+            b: [
+                3.0 - n as f32,
+                n as f32 - 2.0,
+                if n.is_multiple_of(2) { 0.0 } else { -0.2 },
+            ],
         };
-        let partners: Vec<Partner<'_>> =
-            others.iter().enumerate().map(|(n, census)| Partner { pair: pair(n), census }).collect();
-        let range = Range { least: 0.5, step: 0.5, count: 19 };
+        let partners: Vec<Partner<'_>> = others
+            .iter()
+            .enumerate()
+            .map(|(n, census)| Partner {
+                pair: pair(n),
+                census,
+            })
+            .collect();
+        let range = Range {
+            least: 0.5,
+            step: 0.5,
+            count: 19,
+        };
         let mut unknown = 0;
         for n in 0..=MAX_PARTNERS {
             let volume = cost_volume(w, h, &own, &partners[..n], &range);
             for (i, &found) in volume.iter().enumerate() {
                 let (k, p) = (i % range.count, i / range.count);
-                let wanted = cost([w, h], &own, &partners[..n], [p % w, p / w], range.at(k as f32));
+                let wanted = cost(
+                    [w, h],
+                    &own,
+                    &partners[..n],
+                    [p % w, p / w],
+                    range.at(k as f32),
+                );
                 assert_eq!(found, wanted, "{n} partners, pixel {p}, disparity {k}");
                 unknown += usize::from(n == MAX_PARTNERS && found == UNKNOWN);
             }
@@ -358,7 +445,9 @@ mod tests {
     #[test]
     fn a_step_at_an_edge_stays() {
         let (w, h, n) = (12, 8, 16);
-        let grey: Vec<f32> = (0..w * h).map(|i| if i % w < 6 { 20.0 } else { 220.0 }).collect();
+        let grey: Vec<f32> = (0..w * h)
+            .map(|i| if i % w < 6 { 20.0 } else { 220.0 })
+            .collect();
         let mut volume = vec![20u8; w * h * n];
         for i in 0..w * h {
             volume[i * n + if i % w < 6 { 3 } else { 11 }] = 2;
@@ -366,7 +455,10 @@ mod tests {
         let index = aggregate(w, h, n, &volume, &grey);
         for (i, k) in index.iter().enumerate() {
             let want = if i % w < 6 { 3.0 } else { 11.0 };
-            assert!((k - want).abs() < 0.3, "pixel {i}: {k} where {want} was expected");
+            assert!(
+                (k - want).abs() < 0.3,
+                "pixel {i}: {k} where {want} was expected"
+            );
         }
     }
 

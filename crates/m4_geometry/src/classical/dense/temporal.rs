@@ -20,8 +20,9 @@ struct Running {
     weight: Vec<f32>,
 }
 
-/// Averages `values` (`[height][width]` by frame) over time: weights decrease by e in `frames` frames along the flow, forwards and
-/// backwards alike, so that nothing lags, and with what `trust` (0..1) has of each step.
+/// Averages `values` (`[height][width]` by frame) over time: weights decrease by e in `frames`
+/// frames along the flow, forwards and backwards alike, so that nothing lags, and with what `trust`
+/// (0..1) has of each step.
 pub(super) fn mean(
     width: usize,
     values: &[Vec<f32>],
@@ -29,7 +30,13 @@ pub(super) fn mean(
     frames: f32,
     trust: impl Fn(&Step) -> f32 + Sync,
 ) -> Vec<Vec<f32>> {
-    let along = Along { width, values, flows, decay: (-1.0 / frames).exp(), trust };
+    let along = Along {
+        width,
+        values,
+        flows,
+        decay: (-1.0 / frames).exp(),
+        trust,
+    };
     let mut backward: Vec<Running> = Vec::with_capacity(values.len());
     for i in (0..values.len()).rev() {
         backward.push(along.extended(i, backward.last(), true));
@@ -38,11 +45,16 @@ pub(super) fn mean(
     let mut out = Vec::with_capacity(values.len());
     for (i, own) in values.iter().enumerate() {
         let f = along.extended(i, forward.as_ref(), false);
-        // Backward means are consumed as the forward ones are made: they come out first frame first.
+        // Backward means are consumed as the forward ones are made: they come out first frame
+        // first.
         let Some(b) = backward.pop() else { break };
         let both = f.sum.iter().zip(&f.weight).zip(b.sum.iter().zip(&b.weight));
         // The frame's own value is in both.
-        out.push(both.zip(own).map(|(((fs, fw), (bs, bw)), own)| (fs + bs - own) / (fw + bw - 1.0)).collect());
+        out.push(
+            both.zip(own)
+                .map(|(((fs, fw), (bs, bw)), own)| (fs + bs - own) / (fw + bw - 1.0))
+                .collect(),
+        );
         forward = Some(f);
     }
     out
@@ -59,18 +71,33 @@ struct Along<'a, T> {
 impl<T: Fn(&Step) -> f32 + Sync> Along<'_, T> {
     /// Frame `i` with `last`, which ends at frame `i - 1` or, `backward`, at `i + 1`.
     fn extended(&self, i: usize, last: Option<&Running>, backward: bool) -> Running {
-        let mut running = Running { sum: self.values[i].clone(), weight: vec![1.0; self.values[i].len()] };
-        let (Some(last), Some((flow, trip))) = (last, FlowPair::step(self.flows, i, backward)) else {
+        let mut running = Running {
+            sum: self.values[i].clone(),
+            weight: vec![1.0; self.values[i].len()],
+        };
+        let (Some(last), Some((flow, trip))) = (last, FlowPair::step(self.flows, i, backward))
+        else {
             return running;
         };
         let (w, h) = (self.width, self.values[i].len() / self.width);
         let other_frame = if backward { i + 1 } else { i - 1 };
-        let rows = running.sum.par_chunks_mut(w).zip(running.weight.par_chunks_mut(w)).enumerate();
+        let rows = running
+            .sum
+            .par_chunks_mut(w)
+            .zip(running.weight.par_chunks_mut(w))
+            .enumerate();
         rows.for_each(|(y, (sum, weight))| {
             for (x, (sum, weight)) in sum.iter_mut().zip(weight).enumerate() {
                 let pixel = y * w + x;
-                let other_pixel = nearest_pixel(w, h, x as f32 + flow.u[pixel], y as f32 + flow.v[pixel]);
-                let step = Step { frame: i, pixel, other_frame, other_pixel, round_trip_px: trip[pixel] };
+                let other_pixel =
+                    nearest_pixel(w, h, x as f32 + flow.u[pixel], y as f32 + flow.v[pixel]);
+                let step = Step {
+                    frame: i,
+                    pixel,
+                    other_frame,
+                    other_pixel,
+                    round_trip_px: trip[pixel],
+                };
                 let share = self.decay * (self.trust)(&step);
                 *sum += share * last.sum[other_pixel];
                 *weight += share * last.weight[other_pixel];
@@ -89,14 +116,25 @@ mod tests {
     fn values_spread_both_ways_along_the_flow_as_far_as_it_is_trusted() {
         let (w, n) = (8, 5);
         // everything moves one pixel to the right, and one pixel of the middle frame has a value
-        let flow = |u: f32| Flow { u: vec![u; w * 2], ..Flow::zero(w, 2) };
-        let flows: Vec<FlowPair> = (1..n).map(|_| FlowPair::exact(flow(1.0), flow(-1.0))).collect();
+        let flow = |u: f32| Flow {
+            u: vec![u; w * 2],
+            ..Flow::zero(w, 2)
+        };
+        let flows: Vec<FlowPair> = (1..n)
+            .map(|_| FlowPair::exact(flow(1.0), flow(-1.0)))
+            .collect();
         let mut values = vec![vec![0.0f32; w * 2]; n];
         values[2][4] = 1.0;
         let out = mean(w, &values, &flows, 2.0, |_| 1.0);
         assert!(out[2][4] > out[1][3] && out[1][3] > out[0][2] && out[0][2] > 0.0);
         assert!((out[1][3] - out[3][5]).abs() < 1e-6 && out[1][4] == 0.0);
-        let cut = mean(w, &values, &flows, 2.0, |step| if step.frame.max(step.other_frame) > 2 { 0.0 } else { 1.0 });
+        let cut = mean(w, &values, &flows, 2.0, |step| {
+            if step.frame.max(step.other_frame) > 2 {
+                0.0
+            } else {
+                1.0
+            }
+        });
         assert!(cut[1][3] > 0.0 && cut[3][5] == 0.0);
         assert_eq!(mean(w, &values, &flows, 2.0, |_| 0.0), values);
     }

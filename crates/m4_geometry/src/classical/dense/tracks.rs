@@ -5,20 +5,29 @@
 //!                                    cut at jumps, smoothed -> carried on where hidden (`fill`) -> Tracks
 //! ```
 //!
-//! docs/spec/front-end.md 7.1, item 8 ("3D tracks by flow chaining + lifting"), which is the substitute of its
-//! section 3 for a network that tracks: [`crate::tracks`] with the flow and the depth that this stage has anyway. A chain ends where the
-//! flow does not lead back, where it leaves the image and where it leaves the masks; from there the point goes on with its neighbours.
+//! docs/spec/front-end.md 7.1, item 8 ("3D tracks by flow chaining + lifting"), which is the
+//! substitute of its section 3 for a network that tracks: [`crate::tracks`] with the flow and the
+//! depth that this stage has anyway. A chain ends where the flow does not lead back, where it
+//! leaves the image and where it leaves the masks; from there the point goes on with its
+//! neighbours.
 //!
-//! Pixels here are those of the working size, with the centre of the first one at 0, 0, as [`m4_core::Camera::unproject`] has them.
+//! Pixels here are those of the working size, with the centre of the first one at 0, 0, as
+//! [`m4_core::Camera::unproject`] has them.
 
 use super::sources::DenseError;
 use super::working::Clip;
 use crate::flow::FlowPair;
-use crate::tracks::{QueryGrid, Scene, Sparse, Strip, TrackError, board_of, fill, followed, on_grid, sparse_flow};
+use crate::tracks::{
+    QueryGrid, Scene, Sparse, Strip, TrackError, board_of, fill, followed, on_grid, sparse_flow,
+};
 use m4_core::{Plane, Progress, Tracks};
 
 /// Tracks of everything that moves; `None` if nothing could be followed.
-pub(super) fn tracks(clip: &Clip<'_>, grid: &QueryGrid, progress: &dyn Progress) -> Result<Option<Tracks>, DenseError> {
+pub(super) fn tracks(
+    clip: &Clip<'_>,
+    grid: &QueryGrid,
+    progress: &dyn Progress,
+) -> Result<Option<Tracks>, DenseError> {
     let strip = strip(clip);
     let pieces = on_grid(&strip, grid);
     if pieces.is_empty() {
@@ -29,7 +38,15 @@ pub(super) fn tracks(clip: &Clip<'_>, grid: &QueryGrid, progress: &dyn Progress)
         let depth = |x: usize, y: usize| 1.0 / clip.disparity[i][y * clip.width + x];
         Ok(Plane::from_fn(clip.width, clip.height, depth))
     };
-    fill(&Scene { strip: &strip, surface: &surface }, &mut board, progress).map_err(|e| match e {
+    fill(
+        &Scene {
+            strip: &strip,
+            surface: &surface,
+        },
+        &mut board,
+        progress,
+    )
+    .map_err(|e| match e {
         TrackError::Cancelled { phase } => DenseError::Cancelled { phase },
         other => DenseError::Tracks(other),
     })?;
@@ -40,10 +57,16 @@ pub(super) fn tracks(clip: &Clip<'_>, grid: &QueryGrid, progress: &dyn Progress)
 fn strip(clip: &Clip<'_>) -> Strip {
     let (w, h) = (clip.width, clip.height);
     let moves = |frame: usize, i: usize| clip.moving[frame][i] > 0;
-    let moving = |frame: usize| Sparse::new(w, h, |i| moves(frame, i).then(|| clip.disparity[frame][i]));
-    let forward = |(t, pair): (usize, &FlowPair)| sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(t, i));
-    let backward =
-        |(t, pair): (usize, &FlowPair)| sparse_flow(&pair.backward, &pair.backward_round_trip, |i| moves(t + 1, i));
+    let moving =
+        |frame: usize| Sparse::new(w, h, |i| moves(frame, i).then(|| clip.disparity[frame][i]));
+    let forward = |(t, pair): (usize, &FlowPair)| {
+        sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(t, i))
+    };
+    let backward = |(t, pair): (usize, &FlowPair)| {
+        sparse_flow(&pair.backward, &pair.backward_round_trip, |i| {
+            moves(t + 1, i)
+        })
+    };
     Strip {
         width: w,
         height: h,
@@ -88,7 +111,10 @@ mod tests {
         for t in 0..FRAMES {
             let mut c2w = Se3::identity();
             c2w.translation = Vector3::new(0.02 * t as f64, 0.01 * t as f64, 0.0);
-            let camera = Camera { intrinsics: Intrinsics::centred(W, H, 90.0), c2w };
+            let camera = Camera {
+                intrinsics: Intrinsics::centred(W, H, 90.0),
+                c2w,
+            };
             let factor = 1.0 + noise * (2.0 * rng.uniform() - 1.0);
             let on = |i: usize| {
                 let p = camera.unproject((i % W) as f64, (i / W) as f64, depth(t));
@@ -96,7 +122,13 @@ mod tests {
                 (x + 0.1).abs() < 0.35 && y.abs() < 0.35
             };
             moving.push((0..W * H).map(|i| if on(i) { 255 } else { 0 }).collect());
-            let d = |i: usize| if on(i) { (factor / depth(t)) as f32 } else { 0.1 };
+            let d = |i: usize| {
+                if on(i) {
+                    (factor / depth(t)) as f32
+                } else {
+                    0.1
+                }
+            };
             disparity.push((0..W * H).map(d).collect());
             cameras.push(camera);
         }
@@ -111,8 +143,16 @@ mod tests {
             }
             flow
         };
-        let flows = (0..FRAMES - 1).map(|t| FlowPair::exact(flow(t, t + 1), flow(t + 1, t))).collect();
-        ClipData { size: (W, H), cameras, moving, disparity, flows }
+        let flows = (0..FRAMES - 1)
+            .map(|t| FlowPair::exact(flow(t, t + 1), flow(t + 1, t)))
+            .collect();
+        ClipData {
+            size: (W, H),
+            cameras,
+            moving,
+            disparity,
+            flows,
+        }
     }
 
     /// Differences to the true velocity over its length, of all steps.
@@ -122,7 +162,8 @@ mod tests {
         for k in 0..tracks.count() {
             for t in 1..tracks.frames() - 1 {
                 if let (Some(a), Some(b)) = (tracks.place(t - 1, k), tracks.place(t + 1, k)) {
-                    let v = (Vector3::from(b.map(f64::from)) - Vector3::from(a.map(f64::from))) / 2.0;
+                    let v =
+                        (Vector3::from(b.map(f64::from)) - Vector3::from(a.map(f64::from))) / 2.0;
                     out.push((v - truth).norm() / truth.norm());
                 }
             }
@@ -140,14 +181,19 @@ mod tests {
         assert!(errors[errors.len() - 1] < 0.01, "{:?}", errors.last());
         // on the surface, in the world
         for (t, k) in (0..FRAMES).flat_map(|t| (0..found.count()).map(move |k| (t, k))) {
-            assert!(found.place(t, k).is_none_or(|p| (f64::from(p[2]) - depth(t)).abs() < 1e-3));
+            assert!(
+                found
+                    .place(t, k)
+                    .is_none_or(|p| (f64::from(p[2]) - depth(t)).abs() < 1e-3)
+            );
         }
         assert_eq!(found.frames(), FRAMES);
     }
 
     #[test]
     fn depth_that_trembles_is_smoothed_along_the_track() {
-        // The depth of one frame is off by up to half of what the square moves; without smoothing, so are its steps by more than 0.1.
+        // The depth of one frame is off by up to half of what the square moves; without smoothing,
+        // so are its steps by more than 0.1.
         let errors = errors(&chains(&made(0.01)));
         let smooth = errors[errors.len() / 2];
         assert!(smooth < 0.08, "{smooth}");
@@ -165,16 +211,25 @@ mod tests {
         cut.flows[7].forward_round_trip.fill(f32::INFINITY);
         cut.flows[7].backward_round_trip.fill(f32::INFINITY);
         let mut jumping = made(0.0);
-        jumping.disparity[8..].iter_mut().flatten().for_each(|d| *d *= 0.7);
+        jumping.disparity[8..]
+            .iter_mut()
+            .flatten()
+            .for_each(|d| *d *= 0.7);
         for (what, clip) in [("flow", cut), ("depth", jumping)] {
             let found = chains(&clip);
             assert_eq!(known(&found, &[7, 8]), 0, "{what}");
             assert!(known(&found, &[7]) > 0 && known(&found, &[8]) > 0, "{what}");
             let errors = errors(&found);
-            assert!(errors[errors.len() / 2] < 0.5, "{what}: the parts before and after move on as before");
+            assert!(
+                errors[errors.len() / 2] < 0.5,
+                "{what}: the parts before and after move on as before"
+            );
         }
         let mut masked = made(0.0);
-        masked.moving[5..9].iter_mut().flatten().for_each(|m| *m = 0);
+        masked.moving[5..9]
+            .iter_mut()
+            .flatten()
+            .for_each(|m| *m = 0);
         let found = chains(&masked);
         assert!((5..9).all(|t| known(&found, &[t]) == 0) && known(&found, &[9]) > 0);
     }
@@ -183,7 +238,10 @@ mod tests {
     fn empty_masks_have_no_tracks_and_dense_ones_are_thinned() {
         let mut still = made(0.0);
         still.moving.iter_mut().for_each(|m| m.fill(0));
-        let grid = QueryGrid { most: 10, ..QueryGrid::chains() };
+        let grid = QueryGrid {
+            most: 10,
+            ..QueryGrid::chains()
+        };
         let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &Silent).unwrap();
         assert_eq!(few(&still.clip()), None);
         let mut clip = made(0.0);

@@ -9,15 +9,16 @@ use m4_core::{Camera, Mask, Progress, RgbImage};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What a pixel of the working size takes in a frame while the clip is worked on, bytes: 81 were measured with the
-/// planes of this module (docs/geometry.md), rounded up.
+/// What a pixel of the working size takes in a frame while the clip is worked on, bytes: 81 were
+/// measured with the planes of this module (docs/geometry.md), rounded up.
 const BYTES_PER_PIXEL: usize = 85;
 /// Sides below this show too little to work on.
 const LEAST_SIDE: usize = 160;
 /// Least side of a frame, pixels.
 const LEAST_FRAME_SIDE: usize = 32;
 
-/// A clip with masks, disparity and flow; lists are by frame, planes `[height][width]` at the working size.
+/// A clip with masks, disparity and flow; lists are by frame, planes `[height][width]` at the
+/// working size.
 pub(super) struct Clip<'a> {
     pub width: usize,
     pub height: usize,
@@ -45,18 +46,40 @@ pub(super) struct ClipData {
 impl ClipData {
     pub fn clip(&self) -> Clip<'_> {
         let (width, height) = self.size;
-        let Self { cameras, moving, disparity, flows, .. } = self;
-        Clip { width, height, rate: FrameRate::FILM, cameras, moving, disparity, flows }
+        let Self {
+            cameras,
+            moving,
+            disparity,
+            flows,
+            ..
+        } = self;
+        Clip {
+            width,
+            height,
+            rate: FrameRate::FILM,
+            cameras,
+            moving,
+            disparity,
+            flows,
+        }
     }
 }
 
-/// The longest side, at most `side`, at which `frames` frames of `width` x `height` stay within `memory_mb` megabytes; not less than
-/// [`LEAST_SIDE`].
-fn fitting_side(width: usize, height: usize, side: usize, frames: usize, memory_mb: usize) -> usize {
+/// The longest side, at most `side`, at which `frames` frames of `width` x `height` stay within
+/// `memory_mb` megabytes; not less than [`LEAST_SIDE`].
+fn fitting_side(
+    width: usize,
+    height: usize,
+    side: usize,
+    frames: usize,
+    memory_mb: usize,
+) -> usize {
     let (w, h) = working_size(width, height, side);
     let wanted = (w * h * frames.max(1) * BYTES_PER_PIXEL) as f64;
     let share = (memory_mb as f64 * 1e6 / wanted).min(1.0).sqrt();
-    ((w.max(h) as f64 * share) as usize).max(LEAST_SIDE).min(side)
+    ((w.max(h) as f64 * share) as usize)
+        .max(LEAST_SIDE)
+        .min(side)
 }
 
 /// What is known of a clip before anything is measured.
@@ -65,7 +88,8 @@ pub(super) struct Ground {
     pub size: (usize, usize),
     /// At the working size.
     pub cameras: Vec<Camera>,
-    /// Whether all frames were taken through the same lens, as bundle adjustment of rigid objects needs it.
+    /// Whether all frames were taken through the same lens, as bundle adjustment of rigid objects
+    /// needs it.
     pub one_lens: bool,
 }
 
@@ -82,7 +106,11 @@ impl Ground {
         let wanted = config.working_side_px;
         if !(64..=2048).contains(&wanted) {
             let (name, value) = ("dense.working_side_px", wanted as f64);
-            return Err(DenseError::Setting { name, value, range: "64 to 2048" });
+            return Err(DenseError::Setting {
+                name,
+                value,
+                range: "64 to 2048",
+            });
         }
         let count = frames.len();
         check_count("masks", masks.map_or(count, <[_]>::len), count).map_err(DenseError::Input)?;
@@ -111,24 +139,39 @@ impl Ground {
                 )));
             }
         }
-        let cameras: Vec<Camera> = sparse.cameras.iter().map(|c| c.resized(size.0, size.1)).collect();
-        let one_lens = cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics);
+        let cameras: Vec<Camera> = sparse
+            .cameras
+            .iter()
+            .map(|c| c.resized(size.0, size.1))
+            .collect();
+        let one_lens = cameras
+            .windows(2)
+            .all(|pair| pair[0].intrinsics == pair[1].intrinsics);
         if parallax && !one_lens {
             progress
                 .warn("the focal length changes from frame to frame: dynamic objects get the depth of what they touch");
         }
-        Ok(Self { size, cameras, one_lens })
+        Ok(Self {
+            size,
+            cameras,
+            one_lens,
+        })
     }
 }
 
-fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, usize), DenseError> {
+fn check(
+    frames: &[&RgbImage],
+    sparse: &SparseReconstruction,
+) -> Result<(usize, usize), DenseError> {
     let refused = |what: String| Err(DenseError::Input(what));
     let Some(first) = frames.first().map(|frame| frame.size()) else {
         return refused("there are no frames; give at least one".to_owned());
     };
     let (count, cameras) = (frames.len(), sparse.cameras.len());
     if count != cameras {
-        return refused(format!("{count} frames but {cameras} cameras; the reconstruction must be of the same frames"));
+        return refused(format!(
+            "{count} frames but {cameras} cameras; the reconstruction must be of the same frames"
+        ));
     }
     for (frame, image) in frames.iter().enumerate() {
         let (w, h) = image.size();
@@ -210,7 +253,8 @@ pub(super) fn observed(
 
 /// The pixel nearest to a place, clamped to the image.
 pub(super) fn nearest_pixel(width: usize, height: usize, x: f32, y: f32) -> usize {
-    ((y + 0.5).max(0.0) as usize).min(height - 1) * width + ((x + 0.5).max(0.0) as usize).min(width - 1)
+    ((y + 0.5).max(0.0) as usize).min(height - 1) * width
+        + ((x + 0.5).max(0.0) as usize).min(width - 1)
 }
 
 /// The pixel nearest to a place, if that is in the image.
@@ -223,14 +267,23 @@ pub(super) fn pixel_at(width: usize, height: usize, x: f32, y: f32) -> Option<us
 /// The mask at the working size, 255 in dynamic regions, read at the nearest pixel.
 pub(super) fn mask_at_size(mask: &Mask, width: usize, height: usize) -> Vec<u8> {
     let at = nearest(mask.size(), width, height);
-    (0..width * height).map(|p| if mask[at(p)] > 0 { 255 } else { 0 }).collect()
+    (0..width * height)
+        .map(|p| if mask[at(p)] > 0 { 255 } else { 0 })
+        .collect()
 }
 
 /// The pixel of a plane of size `from` at the centre of pixel `p` of one of `width` x `height`.
-pub(super) fn nearest(from: (usize, usize), width: usize, height: usize) -> impl Fn(usize) -> (usize, usize) {
+pub(super) fn nearest(
+    from: (usize, usize),
+    width: usize,
+    height: usize,
+) -> impl Fn(usize) -> (usize, usize) {
     move |p| {
         let (x, y) = (p % width, p / width);
-        ((2 * x + 1) * from.0 / (2 * width), (2 * y + 1) * from.1 / (2 * height))
+        (
+            (2 * x + 1) * from.0 / (2 * width),
+            (2 * y + 1) * from.1 / (2 * height),
+        )
     }
 }
 

@@ -1,14 +1,15 @@
-//! The first appearance of a point, aligned to later frames by an affine warp (Shi and Tomasi 1994; inverse compositional form of
-//! Baker and Matthews 2004).
+//! The first appearance of a point, aligned to later frames by an affine warp (Shi and Tomasi 1994;
+//! inverse compositional form of Baker and Matthews 2004).
 //!
-//! Positions measured from frame to frame drift: their errors add up. Those aligned to one patch do not, as long as the warp follows
-//! what the change of the view does to the patch.
+//! Positions measured from frame to frame drift: their errors add up. Those aligned to one patch do
+//! not, as long as the warp follows what the change of the view does to the patch.
 
 use super::klt::{centre, dot};
 use m4_core::Plane;
 use m4_core::nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 
-/// Reach of the patch, working pixels: 7 for a side of 15. An affine warp of 11 pixels is not determined well enough (docs/decisions/0010).
+/// Reach of the patch, working pixels: 7 for a side of 15. An affine warp of 11 pixels is not
+/// determined well enough (docs/decisions/0010).
 const REACH: usize = 7;
 const SIDE: usize = 2 * REACH + 1;
 const AREA: usize = SIDE * SIDE;
@@ -16,12 +17,14 @@ const AREA: usize = SIDE * SIDE;
 const ITERATIONS: usize = 12;
 /// A step that moves no pixel of the patch by more than this is the last one, pixels.
 const SMALL_PX: f32 = 0.003;
-/// Weight of the change of the linear part since the frame before, in squared grey levels: pixels are off by 2 grey levels
-/// (compression, interpolation), and 0.01 a frame is a usual change. It holds what the patch does not show. A quarter of it and five
-/// times as much gave like cameras, which covers other rates of frames: the change of a frame is smaller at a higher rate.
+/// Weight of the change of the linear part since the frame before, in squared grey levels: pixels
+/// are off by 2 grey levels (compression, interpolation), and 0.01 a frame is a usual change. It
+/// holds what the patch does not show. A quarter of it and five times as much gave like cameras,
+/// which covers other rates of frames: the change of a frame is smaller at a higher rate.
 const STEADINESS: f32 = 4e4;
 
-/// Where a patch lies in another image: `x -> linear x + at` for `x` from the patch's centre, pixels.
+/// Where a patch lies in another image: `x -> linear x + at` for `x` from the patch's centre,
+/// pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Warp {
     pub linear: Matrix2<f32>,
@@ -41,20 +44,35 @@ pub(crate) struct Anchor {
 }
 
 impl Anchor {
-    /// The patch around `p` in an image at [`doubled`](super::luma::doubled) resolution; `None` when it shows nothing to hold on to.
+    /// The patch around `p` in an image at [`doubled`](super::luma::doubled) resolution; `None`
+    /// when it shows nothing to hold on to.
     pub fn new(fine: &Plane<f32>, p: [f32; 2]) -> Option<Self> {
         const WIDE: usize = SIDE + 2;
         let mut patch = [0.0; WIDE * WIDE];
-        sample::<WIDE>(fine, &Warp { linear: Matrix2::identity(), at: p }, &mut patch);
+        sample::<WIDE>(
+            fine,
+            &Warp {
+                linear: Matrix2::identity(),
+                at: p,
+            },
+            &mut patch,
+        );
         let mut values = Box::new([0.0; AREA]);
         let mut jacobian = Box::new([[0.0; AREA]; 6]);
         for y in 0..SIDE {
             for x in 0..SIDE {
                 let (i, k) = ((y + 1) * WIDE + x + 1, y * SIDE + x);
-                let [gx, gy] = [0.5 * (patch[i + 1] - patch[i - 1]), 0.5 * (patch[i + WIDE] - patch[i - WIDE])];
+                let [gx, gy] = [
+                    0.5 * (patch[i + 1] - patch[i - 1]),
+                    0.5 * (patch[i + WIDE] - patch[i - WIDE]),
+                ];
                 let (dx, dy) = (x as f32 - REACH as f32, y as f32 - REACH as f32);
                 values[k] = patch[i];
-                for (column, value) in jacobian.iter_mut().zip([gx, gy, gx * dx, gx * dy, gy * dx, gy * dy]) {
+                for (column, value) in
+                    jacobian
+                        .iter_mut()
+                        .zip([gx, gy, gx * dx, gx * dy, gy * dx, gy * dy])
+                {
                     column[k] = value;
                 }
             }
@@ -68,11 +86,17 @@ impl Anchor {
             h[(k, k)] += STEADINESS;
         }
         let inverse = h.try_inverse()?;
-        Some(Self { values, jacobian, inverse, norm })
+        Some(Self {
+            values,
+            jacobian,
+            inverse,
+            norm,
+        })
     }
 
-    /// Moves `start`, the warp to the frame before at the place to begin with, until the patch in `fine`, an image at doubled resolution,
-    /// looks like this one; the warp and the normalised cross-correlation there.
+    /// Moves `start`, the warp to the frame before at the place to begin with, until the patch in
+    /// `fine`, an image at doubled resolution, looks like this one; the warp and the normalised
+    /// cross-correlation there.
     pub fn align(&self, fine: &Plane<f32>, start: Warp) -> (Warp, f32) {
         let mut patch = [0.0; AREA];
         let mut warp = start;
@@ -83,9 +107,12 @@ impl Anchor {
                 *value -= want;
             }
             let changed = back * warp.linear - Matrix2::identity();
-            let held = Vector6::new(0.0, 0.0, changed.m11, changed.m12, changed.m21, changed.m22) * STEADINESS;
+            let held = Vector6::new(0.0, 0.0, changed.m11, changed.m12, changed.m21, changed.m22)
+                * STEADINESS;
             let d = self.inverse * (Vector6::from_fn(|i, _| dot(&self.jacobian[i], &patch)) + held);
-            let Some(undo) = Matrix2::new(1.0 + d[2], d[3], d[4], 1.0 + d[5]).try_inverse() else { break };
+            let Some(undo) = Matrix2::new(1.0 + d[2], d[3], d[4], 1.0 + d[5]).try_inverse() else {
+                break;
+            };
             warp.linear *= undo;
             let moved = warp.linear * Vector2::new(d[0], d[1]);
             warp.at = [warp.at[0] - moved.x, warp.at[1] - moved.y];
@@ -99,11 +126,19 @@ impl Anchor {
         sample::<SIDE>(fine, &warp, &mut patch);
         let norm = centre(&mut patch);
         let product = dot(&patch, &*self.values);
-        (warp, if norm * self.norm > 0.0 { product / (norm * self.norm) } else { 0.0 })
+        (
+            warp,
+            if norm * self.norm > 0.0 {
+                product / (norm * self.norm)
+            } else {
+                0.0
+            },
+        )
     }
 }
 
-/// The patch of side `N` that `warp` marks in an image at doubled resolution, bilinear; outside the image the nearest pixel counts.
+/// The patch of side `N` that `warp` marks in an image at doubled resolution, bilinear; outside the
+/// image the nearest pixel counts.
 fn sample<const N: usize>(fine: &Plane<f32>, warp: &Warp, out: &mut [f32]) {
     let (w, h) = fine.size();
     let (right, bottom) = ((w - 1) as f32, (h - 1) as f32);
@@ -139,7 +174,9 @@ mod tests {
         doubled(&Plane::from_fn(96, 72, |x, y| {
             let p = back * Vector2::new(x as f32 - warp.at[0], y as f32 - warp.at[1]);
             let (u, v) = (p.x + CENTRE[0], p.y + CENTRE[1]);
-            120.0 + 50.0 * (0.6 * u).sin() * (0.5 * v + 0.2 * u).cos() + 40.0 * (0.25 * u - 0.4 * v).cos()
+            120.0
+                + 50.0 * (0.6 * u).sin() * (0.5 * v + 0.2 * u).cos()
+                + 40.0 * (0.25 * u - 0.4 * v).cos()
         }))
     }
 
@@ -147,7 +184,10 @@ mod tests {
 
     #[test]
     fn a_patch_is_followed_through_scaling_stretching_and_rotation() {
-        let first = Warp { linear: Matrix2::identity(), at: CENTRE };
+        let first = Warp {
+            linear: Matrix2::identity(),
+            at: CENTRE,
+        };
         let anchor = Anchor::new(&seen(&first), CENTRE).expect("texture");
         // A quarter larger and turned by 14 degrees at the end, with unequal sides.
         let mut warp = first;
@@ -157,35 +197,57 @@ mod tests {
                 linear: Matrix2::new(1.0 + 0.01 * t, -0.015 * t, 0.015 * t, 1.0 + 0.008 * t),
                 at: [CENTRE[0] + 0.4 * t, CENTRE[1] - 0.3 * t],
             };
-            let (found, likeness) =
-                anchor.align(&seen(&truth), Warp { at: [warp.at[0] + 0.6, warp.at[1] - 0.1], ..warp });
+            let (found, likeness) = anchor.align(
+                &seen(&truth),
+                Warp {
+                    at: [warp.at[0] + 0.6, warp.at[1] - 0.1],
+                    ..warp
+                },
+            );
             let off = (found.at[0] - truth.at[0]).hypot(found.at[1] - truth.at[1]);
-            assert!(off < 0.04 && likeness > 0.99, "step {step}: {off} px, {likeness}");
-            assert!((found.linear - truth.linear).amax() < 0.02, "{found:?} {truth:?}");
+            assert!(
+                off < 0.04 && likeness > 0.99,
+                "step {step}: {off} px, {likeness}"
+            );
+            assert!(
+                (found.linear - truth.linear).amax() < 0.02,
+                "{found:?} {truth:?}"
+            );
             warp = found;
         }
     }
 
-    /// Texture at the limit of what pixels show: between whole pixels bilinear values are blurred, which moves the patch.
+    /// Texture at the limit of what pixels show: between whole pixels bilinear values are blurred,
+    /// which moves the patch.
     #[test]
     fn fractions_of_a_pixel_are_not_pulled_to_whole_ones() {
         let fine = |shift: f32| {
-            let wave =
-                |x: f32, y: f32| (1.1 * x + 0.4 * y).sin() + (0.5 * x - 1.2 * y).cos() + (0.3 * x + 0.2 * y).sin();
-            doubled(&Plane::from_fn(96, 72, |x, y| 128.0 + 30.0 * wave(x as f32 - shift, y as f32 + 0.5 * shift)))
+            let wave = |x: f32, y: f32| {
+                (1.1 * x + 0.4 * y).sin() + (0.5 * x - 1.2 * y).cos() + (0.3 * x + 0.2 * y).sin()
+            };
+            doubled(&Plane::from_fn(96, 72, |x, y| {
+                128.0 + 30.0 * wave(x as f32 - shift, y as f32 + 0.5 * shift)
+            }))
         };
-        let first = Warp { linear: Matrix2::identity(), at: CENTRE };
+        let first = Warp {
+            linear: Matrix2::identity(),
+            at: CENTRE,
+        };
         let anchor = Anchor::new(&fine(0.0), CENTRE).expect("texture");
         for shift in [0.1, 0.25, 0.4, 0.6, 0.8] {
             let (found, _) = anchor.align(&fine(shift), first);
-            let off = (found.at[0] - CENTRE[0] - shift).hypot(found.at[1] - CENTRE[1] + 0.5 * shift);
+            let off =
+                (found.at[0] - CENTRE[0] - shift).hypot(found.at[1] - CENTRE[1] + 0.5 * shift);
             assert!(off < 0.01, "shift {shift}: {off} px");
         }
     }
 
     #[test]
     fn other_content_does_not_look_alike_and_flat_patches_are_refused() {
-        let first = Warp { linear: Matrix2::identity(), at: CENTRE };
+        let first = Warp {
+            linear: Matrix2::identity(),
+            at: CENTRE,
+        };
         let anchor = Anchor::new(&seen(&first), CENTRE).expect("texture");
         let other = Plane::from_fn(96, 72, |x, y| ((x * 7919 + y * 104_729) % 251) as f32);
         assert!(anchor.align(&doubled(&other), first).1 < 0.7);

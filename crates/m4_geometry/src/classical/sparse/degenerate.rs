@@ -1,4 +1,5 @@
-//! Cameras that do not translate: one pose, rotations alone, or a rotation and intrinsics per frame of a lens that zooms; no points.
+//! Cameras that do not translate: one pose, rotations alone, or a rotation and intrinsics per frame
+//! of a lens that zooms; no points.
 
 use super::map::{Map, classify, median_far_error};
 use super::priors::{Lenses, Recovered};
@@ -21,22 +22,36 @@ pub(crate) struct Turning {
     pub focal_observed: bool,
 }
 
-/// Rotations for the focal length among `focals` that explains the tracks best, or for `assumed` when
-/// the best explains them hardly better; `cauchy_px` is the scale of the loss.
-pub(crate) fn turning(tracks: &[RawTrack], frames: usize, focals: &[f64], assumed: f64, cauchy_px: f64) -> Turning {
+/// Rotations for the focal length among `focals` that explains the tracks best, or for `assumed`
+/// when the best explains them hardly better; `cauchy_px` is the scale of the loss.
+pub(crate) fn turning(
+    tracks: &[RawTrack],
+    frames: usize,
+    focals: &[f64],
+    assumed: f64,
+    cauchy_px: f64,
+) -> Turning {
     let all: Vec<(f64, Map, usize)> = focals
         .par_iter()
         .chain(rayon::iter::once(&assumed))
         .map(|&focal| {
             let (map, lost) = rotations(tracks, frames, focal, cauchy_px);
-            (median_far_error(&map, tracks).unwrap_or(f64::INFINITY), map, lost)
+            (
+                median_far_error(&map, tracks).unwrap_or(f64::INFINITY),
+                map,
+                lost,
+            )
         })
         .collect();
     let error_assumed = all.last().map_or(f64::INFINITY, |(error, ..)| *error);
     let best = all.iter().min_by(|a, b| a.0.total_cmp(&b.0));
     let observed = best.filter(|(error, ..)| *error < 0.8 * error_assumed);
     match observed.or(all.last()) {
-        Some((_, map, lost)) => Turning { map: map.clone(), lost: *lost, focal_observed: observed.is_some() },
+        Some((_, map, lost)) => Turning {
+            map: map.clone(),
+            lost: *lost,
+            focal_observed: observed.is_some(),
+        },
         None => Turning {
             map: Map::new(assumed, vec![Some(Se3::identity()); frames], tracks),
             lost: 0,
@@ -46,34 +61,50 @@ pub(crate) fn turning(tracks: &[RawTrack], frames: usize, focals: &[f64], assume
 }
 
 /// Rotations chained from frame to frame, then refined so that every track has one direction in the
-/// world (alternating between directions and rotations). Frames that share fewer than [`MIN_TRACKS`]
-/// tracks with the one before keep its rotation; their number is returned.
+/// world (alternating between directions and rotations). Frames that share fewer than
+/// [`MIN_TRACKS`] tracks with the one before keep its rotation; their number is returned.
 fn rotations(tracks: &[RawTrack], frames: usize, focal: f64, cauchy_px: f64) -> (Map, usize) {
     let mut rotations = vec![Matrix3::identity(); frames];
     let mut lost = 0;
     for frame in 1..frames {
         let found = matches(tracks, frame - 1, frame);
-        let step = if found.len() >= MIN_TRACKS { turn(&found, focal) } else { None };
+        let step = if found.len() >= MIN_TRACKS {
+            turn(&found, focal)
+        } else {
+            None
+        };
         lost += usize::from(step.is_none());
         rotations[frame] = step.map_or(Matrix3::identity(), |t| t.rotation) * rotations[frame - 1];
     }
     for _ in 0..10 {
-        let directions: Vec<Option<Vector3<f64>>> = tracks.iter().map(|t| direction(t, &rotations, focal)).collect();
+        let directions: Vec<Option<Vector3<f64>>> = tracks
+            .iter()
+            .map(|t| direction(t, &rotations, focal))
+            .collect();
         for (frame, rotation) in rotations.iter_mut().enumerate() {
             *rotation = refine(tracks, &directions, frame, rotation, focal, cauchy_px);
         }
     }
     // The world is the first camera.
     let first = rotations[0].transpose();
-    let pose =
-        |r: &Matrix3<f64>| Some(Se3 { rotation: exp_so3(&log_so3(&(r * first))), translation: Vector3::zeros() });
-    (Map::new(focal, rotations.iter().map(pose).collect(), tracks), lost)
+    let pose = |r: &Matrix3<f64>| {
+        Some(Se3 {
+            rotation: exp_so3(&log_so3(&(r * first))),
+            translation: Vector3::zeros(),
+        })
+    };
+    (
+        Map::new(focal, rotations.iter().map(pose).collect(), tracks),
+        lost,
+    )
 }
 
 /// Mean direction of a track in the world.
 fn direction(track: &RawTrack, rotations: &[Matrix3<f64>], focal: f64) -> Option<Vector3<f64>> {
     let rays = (track.first..).zip(&track.seen);
-    let sum: Vector3<f64> = rays.map(|(frame, at)| rotations[frame].tr_mul(&ray(*at, focal))).sum();
+    let sum: Vector3<f64> = rays
+        .map(|(frame, at)| rotations[frame].tr_mul(&ray(*at, focal)))
+        .sum();
     (sum.norm() > 0.0 && track.seen.len() > 1).then(|| sum.normalize())
 }
 
@@ -96,16 +127,21 @@ fn refine(
         sum += ray * d.transpose() / (1.0 + (error_px / cauchy_px).powi(2));
         count += 1;
     }
-    if count < 3 { *rotation } else { nearest_rotation(sum).unwrap_or(*rotation) }
+    if count < 3 {
+        *rotation
+    } else {
+        nearest_rotation(sum).unwrap_or(*rotation)
+    }
 }
 
-/// Share of the resting tracks of a camera that moves which must rest for one that zooms. What is near tells a walk from a
-/// zoom, and may be a small part of the image.
+/// Share of the resting tracks of a camera that moves which must rest for one that zooms. What is
+/// near tells a walk from a zoom, and may be a small part of the image.
 const AS_MANY: f64 = 0.9;
 /// The median error may be this many times that of a camera that moves, and this many pixels more.
 const AS_GOOD: (f64, f64) = (2.0, 0.05);
 
-/// A zoom that explains the tracks, and the tracks as a lens that does not zoom would have seen them.
+/// A zoom that explains the tracks, and the tracks as a lens that does not zoom would have seen
+/// them.
 pub(super) struct Zoom {
     found: Zooming,
     map: Map,
@@ -117,8 +153,16 @@ impl Zoom {
     /// Whether a camera that moves instead, with a lens that does not, explains nothing more.
     pub fn explains_as_much_as(&self, moving: Option<&Recovered>, scale: f64) -> bool {
         let Some(moving) = moving else { return true };
-        let here = classify(&self.map, &self.tracks).iter().filter(|m| **m == Motion::Static).count();
-        let there = moving.sparse.tracks.iter().filter(|t| t.motion == Motion::Static).count();
+        let here = classify(&self.map, &self.tracks)
+            .iter()
+            .filter(|m| **m == Motion::Static)
+            .count();
+        let there = moving
+            .sparse
+            .tracks
+            .iter()
+            .filter(|t| t.motion == Motion::Static)
+            .count();
         let median_px = AS_GOOD.0 * moving.sparse.residual_px * scale + AS_GOOD.1;
         here as f64 >= AS_MANY * there as f64 && self.median_px <= median_px.min(MOST_PX)
     }
@@ -144,20 +188,43 @@ impl Clip<'_> {
         };
         let (least, most) = range(&found.aims);
         let focal = (least * most).sqrt();
-        let pose = |aim: &Aim| Se3 { rotation: exp_so3(&log_so3(&aim.rotation)), translation: Vector3::zeros() };
-        let map = Map::new(focal, found.aims.iter().map(|aim| Some(pose(aim))).collect(), &self.tracks);
+        let pose = |aim: &Aim| Se3 {
+            rotation: exp_so3(&log_so3(&aim.rotation)),
+            translation: Vector3::zeros(),
+        };
+        let map = Map::new(
+            focal,
+            found.aims.iter().map(|aim| Some(pose(aim))).collect(),
+            &self.tracks,
+        );
         let tracks = through(&self.tracks, &found.aims, focal);
         let median_px = median_far_error(&map, &tracks).unwrap_or(f64::INFINITY);
-        Ok(Some(Zoom { found, map, tracks, median_px }))
+        Ok(Some(Zoom {
+            found,
+            map,
+            tracks,
+            median_px,
+        }))
     }
 
     /// A rotation and intrinsics per frame.
     pub(super) fn zoomed(&mut self, zoom: Zoom) -> Recovered {
-        let Zoom { found, map, tracks, median_px } = zoom;
+        let Zoom {
+            found,
+            map,
+            tracks,
+            median_px,
+        } = zoom;
         let first = found.aims[0].focal;
         let base = self.lenses.of(0);
-        let base = base.unwrap_or_else(|| Intrinsics::centred(self.width, self.height, first / self.size.scale));
-        let lens = |aim: &Aim| Intrinsics { fx: base.fx * aim.focal / first, fy: base.fy * aim.focal / first, ..base };
+        let base = base.unwrap_or_else(|| {
+            Intrinsics::centred(self.width, self.height, first / self.size.scale)
+        });
+        let lens = |aim: &Aim| Intrinsics {
+            fx: base.fx * aim.focal / first,
+            fy: base.fy * aim.focal / first,
+            ..base
+        };
         self.masked = through(&self.masked, &found.aims, map.focal);
         self.tracks = tracks;
         self.lenses = Lenses(found.aims.iter().map(lens).collect());

@@ -4,8 +4,9 @@
 use super::luma::{Pyramid, sample_square};
 use m4_core::Plane;
 
-/// Reach of the patch that is followed, working pixels: 5 for a side of 11. docs/spec/front-end.md 7.1 has a side of 21; 11 gave trajectories as good
-/// or better, and is faster (docs/decisions/0001).
+/// Reach of the patch that is followed, working pixels: 5 for a side of 11. docs/spec/front-end.md
+/// 7.1 has a side of 21; 11 gave trajectories as good or better, and is faster
+/// (docs/decisions/0001).
 pub(super) const RADIUS: usize = 5;
 /// Gauss-Newton steps per level.
 const ITERATIONS: usize = 12;
@@ -23,7 +24,8 @@ pub(crate) struct Template {
 }
 
 impl Template {
-    /// The patch around `p`; `None` when its structure tensor is singular, that is when it shows nothing to hold on to.
+    /// The patch around `p`; `None` when its structure tensor is singular, that is when it shows
+    /// nothing to hold on to.
     pub fn new(plane: &Plane<f32>, p: [f32; 2]) -> Option<Self> {
         let (side, wide) = (2 * RADIUS + 1, 2 * RADIUS + 3);
         let reach = (RADIUS + 1) as f32;
@@ -35,7 +37,10 @@ impl Template {
         for y in 1..=side {
             for x in 1..=side {
                 let i = y * wide + x;
-                let g = [0.5 * (patch[i + 1] - patch[i - 1]), 0.5 * (patch[i + wide] - patch[i - wide])];
+                let g = [
+                    0.5 * (patch[i + 1] - patch[i - 1]),
+                    0.5 * (patch[i + wide] - patch[i - wide]),
+                ];
                 h = [h[0] + g[0] * g[0], h[1] + g[0] * g[1], h[2] + g[1] * g[1]];
                 values.push(patch[i]);
                 gradient.push(g);
@@ -49,11 +54,16 @@ impl Template {
             return None;
         }
         let inverse = [h[2] / determinant, -h[1] / determinant, h[0] / determinant];
-        Some(Self { values, gradient, inverse, norm })
+        Some(Self {
+            values,
+            gradient,
+            inverse,
+            norm,
+        })
     }
 
-    /// Moves `start` until the patch around it in `plane` looks like this template; the position and
-    /// the normalised cross-correlation there.
+    /// Moves `start` until the patch around it in `plane` looks like this template; the position
+    /// and the normalised cross-correlation there.
     pub fn align(&self, plane: &Plane<f32>, start: [f32; 2]) -> ([f32; 2], f32) {
         let side = 2 * RADIUS + 1;
         let mut patch = vec![0.0; side * side];
@@ -67,8 +77,10 @@ impl Template {
                 let error = value - mean - want;
                 b = [b[0] + g[0] * error, b[1] + g[1] * error];
             }
-            let step =
-                [self.inverse[0] * b[0] + self.inverse[1] * b[1], self.inverse[1] * b[0] + self.inverse[2] * b[1]];
+            let step = [
+                self.inverse[0] * b[0] + self.inverse[1] * b[1],
+                self.inverse[1] * b[0] + self.inverse[2] * b[1],
+            ];
             // A patch cannot see further than itself.
             let length = step[0].hypot(step[1]);
             let damp = if length > reach { reach / length } else { 1.0 };
@@ -80,7 +92,11 @@ impl Template {
         sample_square(plane, p[0] - reach, p[1] - reach, side, &mut patch);
         let norm = centre(&mut patch);
         let dot: f32 = patch.iter().zip(&self.values).map(|(a, b)| a * b).sum();
-        let correlation = if norm * self.norm > 0.0 { dot / (norm * self.norm) } else { 0.0 };
+        let correlation = if norm * self.norm > 0.0 {
+            dot / (norm * self.norm)
+        } else {
+            0.0
+        };
         (p, correlation)
     }
 }
@@ -121,11 +137,15 @@ pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
 /// True when the patch around `p` lies in the image.
 pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2]) -> bool {
     let r = RADIUS as f32;
-    p[0] >= r && p[1] >= r && p[0] <= plane.width() as f32 - 1.0 - r && p[1] <= plane.height() as f32 - 1.0 - r
+    p[0] >= r
+        && p[1] >= r
+        && p[0] <= plane.width() as f32 - 1.0 - r
+        && p[1] <= plane.height() as f32 - 1.0 - r
 }
 
-/// Follows the patch around `p` of `from` into `to`, coarse to fine; the position and the correlation
-/// at the finest level. `None` when the patch shows nothing at some level or leaves the image.
+/// Follows the patch around `p` of `from` into `to`, coarse to fine; the position and the
+/// correlation at the finest level. `None` when the patch shows nothing at some level or leaves the
+/// image.
 pub(crate) fn follow(from: &Pyramid, to: &Pyramid, p: [f32; 2]) -> Option<([f32; 2], f32)> {
     let levels = from.levels.len().min(to.levels.len());
     let mut offset = [0.0_f32; 2];
@@ -150,7 +170,8 @@ pub(crate) fn follow(from: &Pyramid, to: &Pyramid, p: [f32; 2]) -> Option<([f32;
         }
     }
     let found = [p[0] + offset[0], p[1] + offset[1]];
-    (found[0].is_finite() && found[1].is_finite() && inside(&to.levels[0], found)).then_some((found, correlation))
+    (found[0].is_finite() && found[1].is_finite() && inside(&to.levels[0], found))
+        .then_some((found, correlation))
 }
 
 #[cfg(test)]
@@ -163,7 +184,10 @@ mod tests {
     fn pattern(shift: [f32; 2], stretch: f32, gain: f32) -> Pyramid {
         let value = |x: f32, y: f32| {
             let wave = |a: f32, b: f32, c: f32| (a * x + b * y + c).sin();
-            128.0 + 30.0 * wave(0.31, 0.12, 0.3) + 25.0 * wave(-0.11, 0.27, 1.0) + 20.0 * wave(0.05, -0.07, 2.0)
+            128.0
+                + 30.0 * wave(0.31, 0.12, 0.3)
+                + 25.0 * wave(-0.11, 0.27, 1.0)
+                + 20.0 * wave(0.05, -0.07, 2.0)
         };
         let look = |x: usize, y: usize| {
             let (u, v) = ((x as f32 - 80.0) / stretch, (y as f32 - 60.0) / stretch);
@@ -174,19 +198,31 @@ mod tests {
 
     #[test]
     fn a_shift_is_measured_to_a_fiftieth_of_a_pixel() {
-        let (a, b) = (pattern([0.0, 0.0], 1.0, 1.0), pattern([6.3, -4.8], 1.0, 1.0));
+        let (a, b) = (
+            pattern([0.0, 0.0], 1.0, 1.0),
+            pattern([6.3, -4.8], 1.0, 1.0),
+        );
         let (p, likeness) = follow(&a, &b, [70.0, 60.0]).expect("texture");
-        assert!((p[0] - 76.3).abs() < 0.02 && (p[1] - 55.2).abs() < 0.02, "{p:?}");
+        assert!(
+            (p[0] - 76.3).abs() < 0.02 && (p[1] - 55.2).abs() < 0.02,
+            "{p:?}"
+        );
         assert!(likeness > 0.999);
     }
 
     #[test]
     fn a_change_of_scale_and_brightness_leaves_the_centre_in_place() {
-        let (a, b) = (pattern([0.0, 0.0], 1.0, 1.0), pattern([2.0, 1.0], 1.03, 0.97));
+        let (a, b) = (
+            pattern([0.0, 0.0], 1.0, 1.0),
+            pattern([2.0, 1.0], 1.03, 0.97),
+        );
         let (p, _) = follow(&a, &b, [90.0, 50.0]).expect("texture");
         // u + 80 - 2 = 90 at x = 80 + 1.03 * 12, likewise y.
         let want = [80.0 + 1.03 * 12.0, 60.0 + 1.03 * -9.0];
-        assert!((p[0] - want[0]).abs() < 0.15 && (p[1] - want[1]).abs() < 0.15, "{p:?} {want:?}");
+        assert!(
+            (p[0] - want[0]).abs() < 0.15 && (p[1] - want[1]).abs() < 0.15,
+            "{p:?} {want:?}"
+        );
     }
 
     #[test]

@@ -5,7 +5,8 @@ use m4_core::{Plane, RgbImage};
 /// Weights of red, green and blue in luma (ITU-R BT.601).
 const BT601: [f32; 3] = [0.299, 0.587, 0.114];
 
-/// Frames are shrunk so that their longest side is at most this, pixels. 640: docs/spec/front-end.md 7.1.
+/// Frames are shrunk so that their longest side is at most this, pixels. 640:
+/// docs/spec/front-end.md 7.1.
 pub(super) const LONGEST_SIDE_PX: usize = 640;
 
 /// How working pixels relate to those of the input.
@@ -24,7 +25,12 @@ impl WorkingSize {
     pub fn new(width: usize, height: usize, longest_px: usize) -> Self {
         let scale = (longest_px as f64 / width.max(height).max(1) as f64).min(1.0);
         let side = |n: usize| ((n as f64 * scale).round() as usize).max(1);
-        Self { width: side(width), height: side(height), input: [width as f64, height as f64], scale }
+        Self {
+            width: side(width),
+            height: side(height),
+            input: [width as f64, height as f64],
+            scale,
+        }
     }
 
     /// From working pixels, measured from the image centre, to input pixels (centre of the first
@@ -52,11 +58,19 @@ impl WorkingSize {
 
 /// Luma in 0..=255 at working size; every working pixel is the mean of the input area it covers.
 pub(crate) fn luma(rgb: &RgbImage, size: WorkingSize) -> Plane<f32> {
-    let full = rgb.map(|p| BT601.iter().zip(p).fold(0.0, |sum, (weight, &value)| sum + weight * f32::from(value)));
+    let full = rgb.map(|p| {
+        BT601
+            .iter()
+            .zip(p)
+            .fold(0.0, |sum, (weight, &value)| sum + weight * f32::from(value))
+    });
     if (size.width, size.height) == rgb.size() {
         return full;
     }
-    shrink_rows(&transpose(&shrink_rows(&transpose(&full), size.height)), size.width)
+    shrink_rows(
+        &transpose(&shrink_rows(&transpose(&full), size.height)),
+        size.width,
+    )
 }
 
 fn transpose(plane: &Plane<f32>) -> Plane<f32> {
@@ -108,10 +122,12 @@ impl Pyramid {
     }
 }
 
-/// Twice the resolution by cubic convolution (Keys 1981): pixel `x` becomes pixel `2 x`, so sizes are `2 n - 1`; the border repeats.
+/// Twice the resolution by cubic convolution (Keys 1981): pixel `x` becomes pixel `2 x`, so sizes
+/// are `2 n - 1`; the border repeats.
 ///
-/// Bilinear values between the pixels of the result are those of a smooth image; between those of `plane` they are blurred by an amount that
-/// depends on the fraction of the pixel, which pulls aligned patches towards whole pixels (docs/decisions/0011).
+/// Bilinear values between the pixels of the result are those of a smooth image; between those of
+/// `plane` they are blurred by an amount that depends on the fraction of the pixel, which pulls
+/// aligned patches towards whole pixels (docs/decisions/0011).
 pub(crate) fn doubled(plane: &Plane<f32>) -> Plane<f32> {
     let halfway = |a: f32, b: f32, c: f32, d: f32| 0.5625 * (b + c) - 0.0625 * (a + d);
     let (w, h) = plane.size();
@@ -132,7 +148,12 @@ pub(crate) fn doubled(plane: &Plane<f32>) -> Plane<f32> {
     for y in 0..h - 1 {
         let [a, b, c, d] = around(y, h).map(|i| rows.row(i));
         let above = b.iter().zip(c);
-        for ((to, (&b, &c)), (&a, &d)) in out.row_mut(2 * y + 1).iter_mut().zip(above).zip(a.iter().zip(d)) {
+        for ((to, (&b, &c)), (&a, &d)) in out
+            .row_mut(2 * y + 1)
+            .iter_mut()
+            .zip(above)
+            .zip(a.iter().zip(d))
+        {
             *to = halfway(a, b, c, d);
         }
     }
@@ -149,7 +170,9 @@ fn halved(plane: &Plane<f32>) -> Plane<f32> {
         let row = plane.row(y);
         (0..5).fold(0.0, |sum, k| sum + TAPS[k] * row[at(2 * x, k, w)])
     });
-    Plane::from_fn(half_w, half_h, |x, y| (0..5).fold(0.0, |sum, k| sum + TAPS[k] * rows[(x, at(2 * y, k, h))]))
+    Plane::from_fn(half_w, half_h, |x, y| {
+        (0..5).fold(0.0, |sum, k| sum + TAPS[k] * rows[(x, at(2 * y, k, h))])
+    })
 }
 
 /// The `side` x `side` samples whose first is at `(x, y)`, bilinear, one pixel apart; outside the
@@ -158,7 +181,12 @@ pub(crate) fn sample_square(plane: &Plane<f32>, x: f32, y: f32, side: usize, out
     let (w, h) = plane.size();
     let (fx, fy) = (x.floor(), y.floor());
     let (ax, ay) = (x - fx, y - fy);
-    let weights = [(1.0 - ax) * (1.0 - ay), ax * (1.0 - ay), (1.0 - ax) * ay, ax * ay];
+    let weights = [
+        (1.0 - ax) * (1.0 - ay),
+        ax * (1.0 - ay),
+        (1.0 - ax) * ay,
+        ax * ay,
+    ];
     let (ix, iy) = (fx as isize, fy as isize);
     let inside = ix >= 0 && iy >= 0 && ix as usize + side < w && iy as usize + side < h;
     let clamp = |i: isize, n: usize| i.clamp(0, n as isize - 1) as usize;
@@ -168,7 +196,10 @@ pub(crate) fn sample_square(plane: &Plane<f32>, x: f32, y: f32, side: usize, out
         let lower = plane.row(clamp(iy + r as isize + 1, h));
         if inside {
             let first = ix as usize;
-            let (upper, lower) = (&upper[first..first + side + 1], &lower[first..first + side + 1]);
+            let (upper, lower) = (
+                &upper[first..first + side + 1],
+                &lower[first..first + side + 1],
+            );
             for c in 0..side {
                 line[c] = weights[0] * upper[c]
                     + weights[1] * upper[c + 1]
@@ -178,7 +209,10 @@ pub(crate) fn sample_square(plane: &Plane<f32>, x: f32, y: f32, side: usize, out
         } else {
             for c in 0..side {
                 let (a, b) = (clamp(ix + c as isize, w), clamp(ix + c as isize + 1, w));
-                line[c] = weights[0] * upper[a] + weights[1] * upper[b] + weights[2] * lower[a] + weights[3] * lower[b];
+                line[c] = weights[0] * upper[a]
+                    + weights[1] * upper[b]
+                    + weights[2] * lower[a]
+                    + weights[3] * lower[b];
             }
         }
     }
@@ -191,16 +225,23 @@ mod tests {
 
     #[test]
     fn shrinking_keeps_the_mean_and_linear_ramps() {
-        let rgb = Plane::from_fn(100, 60, |x, y| [(2 * x) as u8, (2 * x) as u8, (x + y) as u8]);
+        let rgb = Plane::from_fn(100, 60, |x, y| {
+            [(2 * x) as u8, (2 * x) as u8, (x + y) as u8]
+        });
         let size = WorkingSize::new(100, 60, 40);
         assert_eq!((size.width, size.height), (40, 24));
         let small = luma(&rgb, size);
         let full = luma(&rgb, WorkingSize::new(100, 60, 100));
         let mean = |p: &Plane<f32>| p.data().iter().sum::<f32>() / p.data().len() as f32;
         assert!((mean(&small) - mean(&full)).abs() < 0.01);
-        // Corner-based coordinates: working column 10 covers input columns 25 to 27.5, centre 25.75 from 0.
+        // Corner-based coordinates: working column 10 covers input columns 25 to 27.5, centre 25.75
+        // from 0.
         let want = 0.886 * 2.0 * 25.75 + 0.114 * (25.75 + (12.5 * 2.5 - 0.5));
-        assert!((small[(10, 12)] - want).abs() < 0.1, "{} {want}", small[(10, 12)]);
+        assert!(
+            (small[(10, 12)] - want).abs() < 0.1,
+            "{} {want}",
+            small[(10, 12)]
+        );
     }
 
     #[test]
@@ -212,7 +253,11 @@ mod tests {
             for x in 3..56 {
                 let want = wave(0.5 * x as f32, 0.5 * y as f32);
                 let near = if x % 2 == 0 && y % 2 == 0 { 1e-6 } else { 0.01 };
-                assert!((fine[(x, y)] - want).abs() < near, "{x}, {y}: {} {want}", fine[(x, y)]);
+                assert!(
+                    (fine[(x, y)] - want).abs() < near,
+                    "{x}, {y}: {} {want}",
+                    fine[(x, y)]
+                );
             }
         }
         assert_eq!(doubled(&Plane::filled(2, 1, 5.0)), Plane::filled(3, 1, 5.0));

@@ -1,4 +1,5 @@
-//! Cameras and points that grow from a pair of frames, and which tracks move, judged by how badly a static point explains them.
+//! Cameras and points that grow from a pair of frames, and which tracks move, judged by how badly a
+//! static point explains them.
 
 use super::INLIER_PX;
 use super::bundle::{Bundle, BundleOptions, BundleReport, Observation};
@@ -25,31 +26,42 @@ pub(crate) struct Map {
 impl Map {
     /// Without points.
     pub fn new(focal: f64, poses: Vec<Option<Se3<f64>>>, tracks: &[RawTrack]) -> Self {
-        Self { focal, poses, points: vec![None; tracks.len()], weights: vec![1.0; tracks.len()] }
+        Self {
+            focal,
+            poses,
+            points: vec![None; tracks.len()],
+            weights: vec![1.0; tracks.len()],
+        }
     }
 
     /// Sightings of known points in `frame`.
     pub fn sightings(&self, tracks: &[RawTrack], frame: usize) -> Vec<Sighting> {
         let known = tracks.iter().zip(&self.points);
-        known.filter_map(|(t, x)| Some(((*x)?, t.at(frame)?))).collect()
+        known
+            .filter_map(|(t, x)| Some(((*x)?, t.at(frame)?)))
+            .collect()
     }
 
     /// The rays of a track from cameras with a pose.
     pub fn views(&self, track: &RawTrack) -> Vec<View> {
-        (track.first..track.end()).filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?))).collect()
+        (track.first..track.end())
+            .filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?)))
+            .collect()
     }
 
     pub fn registered(&self) -> usize {
         self.poses.iter().flatten().count()
     }
 
-    /// Triangulates every track that is not dynamic (`motions`, empty while none is judged), forgets the points of all
-    /// others and of those whose rays are too parallel or disagree.
+    /// Triangulates every track that is not dynamic (`motions`, empty while none is judged),
+    /// forgets the points of all others and of those whose rays are too parallel or disagree.
     pub fn triangulate(&mut self, tracks: &[RawTrack], motions: &[Motion], limits: &Limits) {
         let point = |(i, track)| {
             let usable = motions.get(i) != Some(&Motion::Dynamic);
-            let found = usable.then(|| triangulate(&self.views(track), self.focal, limits.cauchy_px))??;
-            let good = found.angle_rad >= limits.min_angle_deg.to_radians() && found.median_px <= INLIER_PX;
+            let found =
+                usable.then(|| triangulate(&self.views(track), self.focal, limits.cauchy_px))??;
+            let good = found.angle_rad >= limits.min_angle_deg.to_radians()
+                && found.median_px <= INLIER_PX;
             good.then_some(found.point)
         };
         self.points = tracks.par_iter().enumerate().map(point).collect();
@@ -59,10 +71,15 @@ impl Map {
     /// few points agree.
     pub fn register(&mut self, tracks: &[RawTrack], frame: usize) -> bool {
         let sightings = self.sightings(tracks, frame);
-        let found = self.starts(frame).into_iter().map(|start| resect(&sightings, self.focal, &start));
+        let found = self
+            .starts(frame)
+            .into_iter()
+            .map(|start| resect(&sightings, self.focal, &start));
         // The first of those with most inliers.
         let best = found.reduce(|best, other| if other.1 > best.1 { other } else { best });
-        let pose = best.filter(|&(_, n)| n >= MIN_SIGHTINGS && 3 * n >= sightings.len()).map(|(pose, _)| pose);
+        let pose = best
+            .filter(|&(_, n)| n >= MIN_SIGHTINGS && 3 * n >= sightings.len())
+            .map(|(pose, _)| pose);
         self.poses[frame] = pose.or(self.poses[frame]);
         pose.is_some()
     }
@@ -74,7 +91,10 @@ impl Map {
         match (before, after) {
             (Some((i, a)), Some((j, b))) => {
                 let near = if frame - i <= j - frame { a } else { b };
-                vec![interpolate(&a, &b, (frame - i) as f64 / (j - i) as f64), near]
+                vec![
+                    interpolate(&a, &b, (frame - i) as f64 / (j - i) as f64),
+                    near,
+                ]
             }
             (Some((_, a)), None) | (None, Some((_, a))) => vec![a],
             (None, None) => Vec::new(),
@@ -83,17 +103,27 @@ impl Map {
 
     /// Adjusts all poses and points, and the focal length if `free_focal`.
     ///
-    /// Of a long clip every n-th frame is adjusted with the points; the frames between follow the points, and points that hardly
-    /// any of the adjusted frames sees are triangulated anew. All frames at once would take work that grows with the square of
-    /// the length of tracks.
+    /// Of a long clip every n-th frame is adjusted with the points; the frames between follow the
+    /// points, and points that hardly any of the adjusted frames sees are triangulated anew. All
+    /// frames at once would take work that grows with the square of the length of tracks.
     ///
     /// It ends early when the user asks to stop; what is found then is not to be used.
-    pub fn adjust(&mut self, tracks: &[RawTrack], options: &BundleOptions, progress: &dyn Progress) -> BundleReport {
-        let all: Vec<usize> = (0..self.poses.len()).filter(|&i| self.poses[i].is_some()).collect();
+    pub fn adjust(
+        &mut self,
+        tracks: &[RawTrack],
+        options: &BundleOptions,
+        progress: &dyn Progress,
+    ) -> BundleReport {
+        let all: Vec<usize> = (0..self.poses.len())
+            .filter(|&i| self.poses[i].is_some())
+            .collect();
         if all.len() <= MOST_FRAMES {
             return self.adjust_frames(tracks, &all, options, progress);
         }
-        let some: Vec<usize> = spread(all.len(), MOST_FRAMES).iter().map(|&k| all[k]).collect();
+        let some: Vec<usize> = spread(all.len(), MOST_FRAMES)
+            .iter()
+            .map(|&k| all[k])
+            .collect();
         let mut adjusted = self.clone();
         let inside = |t: &RawTrack| {
             let from = some.partition_point(|&i| i < t.first);
@@ -109,7 +139,9 @@ impl Map {
         let anew: Vec<Option<Vector3<f64>>> = (0..tracks.len())
             .into_par_iter()
             .map(|i| match self.points[i] {
-                Some(_) if !held[i] => triangulate(&views(i), adjusted.focal, options.cauchy_px).map(|t| t.point),
+                Some(_) if !held[i] => {
+                    triangulate(&views(i), adjusted.focal, options.cauchy_px).map(|t| t.point)
+                }
                 _ => adjusted.points[i],
             })
             .collect();
@@ -118,24 +150,42 @@ impl Map {
         report
     }
 
-    /// Weighs the tracks by their own noise: the variance of a track's residuals, held to the median of all by [`PRIOR`]. What makes one
-    /// track worse than others (two surfaces in a patch, reflections) is alike in all its frames, which no loss of single residuals sees.
+    /// Weighs the tracks by their own noise: the variance of a track's residuals, held to the
+    /// median of all by [`PRIOR`]. What makes one track worse than others (two surfaces in a patch,
+    /// reflections) is alike in all its frames, which no loss of single residuals sees.
     pub fn weigh(&mut self, tracks: &[RawTrack]) {
-        // Sum of squared residuals and degrees of freedom: two numbers per view, less the three of the point.
+        // Sum of squared residuals and degrees of freedom: two numbers per view, less the three of
+        // the point.
         let spread = |(track, point): (&RawTrack, &Option<Vector3<f64>>)| {
             let errors = self.errors(track, point.as_ref()?);
             let freedom = (2 * errors.len()).checked_sub(3).filter(|n| *n > 0)? as f64;
-            Some((errors.iter().map(|e| e.min(INLIER_PX).powi(2)).sum::<f64>(), freedom))
+            Some((
+                errors.iter().map(|e| e.min(INLIER_PX).powi(2)).sum::<f64>(),
+                freedom,
+            ))
         };
-        let spreads: Vec<Option<(f64, f64)>> = tracks.iter().zip(&self.points).map(spread).collect();
-        let mut variances: Vec<f64> = spreads.iter().flatten().map(|(sum, freedom)| sum / freedom).collect();
-        let Some(typical) = median(&mut variances).filter(|v| *v > 0.0) else { return };
+        let spreads: Vec<Option<(f64, f64)>> =
+            tracks.iter().zip(&self.points).map(spread).collect();
+        let mut variances: Vec<f64> = spreads
+            .iter()
+            .flatten()
+            .map(|(sum, freedom)| sum / freedom)
+            .collect();
+        let Some(typical) = median(&mut variances).filter(|v| *v > 0.0) else {
+            return;
+        };
         let weight = |(sum, freedom)| typical * (PRIOR + freedom) / (PRIOR * typical + sum);
         self.weights = spreads.into_iter().map(|s| s.map_or(1.0, weight)).collect();
     }
 
     /// Gives the frames of `all` that are not among `adjusted` the poses that the points ask for.
-    fn follow_points(&mut self, tracks: &[RawTrack], all: &[usize], adjusted: &[usize], cauchy_px: f64) {
+    fn follow_points(
+        &mut self,
+        tracks: &[RawTrack],
+        all: &[usize],
+        adjusted: &[usize],
+        cauchy_px: f64,
+    ) {
         let map = &*self;
         let poses: Vec<(usize, Se3<f64>)> = all
             .par_iter()
@@ -163,13 +213,19 @@ impl Map {
         for (k, &i) in frames.iter().enumerate() {
             index[i] = k;
         }
-        let used: Vec<usize> = (0..tracks.len()).filter(|&i| self.points[i].is_some()).collect();
+        let used: Vec<usize> = (0..tracks.len())
+            .filter(|&i| self.points[i].is_some())
+            .collect();
         let mut observations = Vec::new();
         for (point, &i) in used.iter().enumerate() {
             let t = &tracks[i];
             for (frame, &at) in (t.first..t.end()).zip(&t.seen) {
                 if index[frame] != usize::MAX {
-                    observations.push(Observation { pose: index[frame], point, at });
+                    observations.push(Observation {
+                        pose: index[frame],
+                        point,
+                        at,
+                    });
                 }
             }
         }
@@ -191,16 +247,20 @@ impl Map {
         report
     }
 
-    /// Reprojection errors of a point over the track's views; points behind a camera count as infinite.
+    /// Reprojection errors of a point over the track's views; points behind a camera count as
+    /// infinite.
     pub fn errors(&self, track: &RawTrack, point: &Vector3<f64>) -> Vec<f64> {
         let views = self.views(track);
-        let error = |(pose, at): &View| error_px(pose, point, self.focal, *at).unwrap_or(f64::INFINITY);
+        let error =
+            |(pose, at): &View| error_px(pose, point, self.focal, *at).unwrap_or(f64::INFINITY);
         views.iter().map(error).collect()
     }
 
     fn all_errors(&self, tracks: &[RawTrack]) -> impl Iterator<Item = f64> {
         let known = tracks.iter().zip(&self.points);
-        known.filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?))).flatten()
+        known
+            .filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?)))
+            .flatten()
     }
 
     /// Median reprojection error over all points and views, pixels.
@@ -211,7 +271,9 @@ impl Map {
     /// Sum over all sightings by cameras with a pose of `1 - min(error / inlier_px, 1)^2`: how much
     /// of what was seen is explained.
     pub fn explained(&self, tracks: &[RawTrack], inlier_px: f64) -> f64 {
-        self.all_errors(tracks).map(|e| (1.0 - (e / inlier_px).powi(2)).max(0.0)).sum()
+        self.all_errors(tracks)
+            .map(|e| (1.0 - (e / inlier_px).powi(2)).max(0.0))
+            .sum()
     }
 }
 
@@ -230,8 +292,11 @@ pub(crate) const MIN_SIGHTINGS: usize = 12;
 fn interpolate(a: &Se3<f64>, b: &Se3<f64>, s: f64) -> Se3<f64> {
     let (ca, cb) = (a.inverse(), b.inverse());
     let turn = log_so3(&(cb.rotation * ca.rotation.transpose()));
-    Se3 { rotation: exp_so3(&(turn * s)) * ca.rotation, translation: ca.translation * (1.0 - s) + cb.translation * s }
-        .inverse()
+    Se3 {
+        rotation: exp_so3(&(turn * s)) * ca.rotation,
+        translation: ca.translation * (1.0 - s) + cb.translation * s,
+    }
+    .inverse()
 }
 
 /// Median of the length of a residual whose two components have standard deviation 1 (Rayleigh).
@@ -240,9 +305,11 @@ pub(super) const RAYLEIGH_MEDIAN: f64 = 1.177_41;
 const DEVIATIONS: f64 = 3.0;
 /// ... if they are also above this, working pixels. 1: docs/spec/front-end.md 7.1.
 const MIN_RESIDUAL_PX: f64 = 1.0;
-/// A track is dynamic when at least this share of its observations disagrees. 0.3: docs/spec/front-end.md 7.1.
+/// A track is dynamic when at least this share of its observations disagrees. 0.3:
+/// docs/spec/front-end.md 7.1.
 const SHARE: f64 = 0.3;
-/// Tracks with fewer observations are not judged. 3: the first number with more than one equation to spare.
+/// Tracks with fewer observations are not judged. 3: the first number with more than one equation
+/// to spare.
 const MIN_OBSERVATIONS: usize = 3;
 /// How often classification and bundle adjustment alternate. 2: docs/spec/front-end.md 7.1.
 pub(super) const ROUNDS: usize = 2;
@@ -277,8 +344,10 @@ pub(crate) fn classify(map: &Map, tracks: &[RawTrack]) -> Vec<Motion> {
 
 /// Median over all tracks of the median error of a point at infinity.
 pub(crate) fn median_far_error(map: &Map, tracks: &[RawTrack]) -> Option<f64> {
-    let mut all: Vec<f64> =
-        tracks.par_iter().filter_map(|track| median(&mut map.errors(track, &far_point(map, track)?))).collect();
+    let mut all: Vec<f64> = tracks
+        .par_iter()
+        .filter_map(|track| median(&mut map.errors(track, &far_point(map, track)?)))
+        .collect();
     median(&mut all)
 }
 
@@ -286,7 +355,9 @@ fn resting_errors(map: &Map, track: &RawTrack, limit: f64) -> Vec<f64> {
     let views = map.views(track);
     let above = |errors: &[f64]| errors.iter().filter(|e| **e > limit).count();
     let near = triangulate(&views, map.focal, limit).map(|t| map.errors(track, &t.point));
-    let far = far_point(map, track).map(|x| map.errors(track, &x)).unwrap_or_default();
+    let far = far_point(map, track)
+        .map(|x| map.errors(track, &x))
+        .unwrap_or_default();
     match near {
         Some(near) if above(&near) <= above(&far) || far.is_empty() => near,
         _ => far,
@@ -296,8 +367,16 @@ fn resting_errors(map: &Map, track: &RawTrack, limit: f64) -> Vec<f64> {
 /// A point far away in the mean direction of the track's rays.
 fn far_point(map: &Map, track: &RawTrack) -> Option<Vector3<f64>> {
     let views = map.views(track);
-    let sum: Vector3<f64> = views.iter().map(|(pose, at)| pose.rotation.tr_mul(&ray(*at, map.focal))).sum();
-    let extent = map.poses.iter().flatten().map(|p| p.translation.norm()).fold(1.0, f64::max);
+    let sum: Vector3<f64> = views
+        .iter()
+        .map(|(pose, at)| pose.rotation.tr_mul(&ray(*at, map.focal)))
+        .sum();
+    let extent = map
+        .poses
+        .iter()
+        .flatten()
+        .map(|p| p.translation.norm())
+        .fold(1.0, f64::max);
     (sum.norm() > 0.0).then(|| sum.normalize() * 1e5 * extent)
 }
 
@@ -312,9 +391,14 @@ mod tests {
     fn tracks_count_by_their_own_noise() {
         let (focal, mut rng) = (400.0, CounterRng::new(5, 0, 0));
         let poses: Vec<_> = (0..30)
-            .map(|i| Se3 { translation: Vector3::new(0.05 * f64::from(i), 0.0, 4.0), ..Se3::identity() })
+            .map(|i| Se3 {
+                translation: Vector3::new(0.05 * f64::from(i), 0.0, 4.0),
+                ..Se3::identity()
+            })
             .collect();
-        let points: Vec<Vector3<f64>> = (0..60).map(|_| Vector3::from_fn(|_, _| rng.normal())).collect();
+        let points: Vec<Vector3<f64>> = (0..60)
+            .map(|_| Vector3::from_fn(|_, _| rng.normal()))
+            .collect();
         // the first is as bad as ten others, the last two are seen once and twice
         let views = |i: usize| if i < 58 { 30 } else { i - 57 };
         let track = |(i, x): (usize, &Vector3<f64>)| {
@@ -323,14 +407,21 @@ mod tests {
                 let p = pose.transform(x);
                 [p.x, p.y].map(|v| focal * v / p.z + noise_px * rng.normal())
             };
-            RawTrack { first: 0, seen: poses[..views(i)].iter().map(at).collect() }
+            RawTrack {
+                first: 0,
+                seen: poses[..views(i)].iter().map(at).collect(),
+            }
         };
         let tracks: Vec<RawTrack> = points.iter().enumerate().map(track).collect();
         let mut map = Map::new(focal, poses.iter().copied().map(Some).collect(), &tracks);
         map.points = points.iter().copied().map(Some).collect();
         map.weigh(&tracks);
         assert!(map.weights[0] < 0.1, "{}", map.weights[0]);
-        assert!(map.weights[1..58].iter().all(|w| (0.5..2.0).contains(w)), "{:?}", map.weights);
+        assert!(
+            map.weights[1..58].iter().all(|w| (0.5..2.0).contains(w)),
+            "{:?}",
+            map.weights
+        );
         assert_eq!(map.weights[58], 1.0, "one view says nothing of noise");
         assert!((0.4..2.5).contains(&map.weights[59]), "{}", map.weights[59]);
     }
@@ -338,7 +429,11 @@ mod tests {
     #[test]
     fn interpolation_meets_both_ends_and_the_middle() {
         let pose = |w: f64, x: f64| {
-            Se3 { rotation: exp_so3(&Vector3::new(0.0, w, 0.0)), translation: Vector3::new(x, 0.0, 1.0) }.inverse()
+            Se3 {
+                rotation: exp_so3(&Vector3::new(0.0, w, 0.0)),
+                translation: Vector3::new(x, 0.0, 1.0),
+            }
+            .inverse()
         };
         let (a, b) = (pose(0.2, 1.0), pose(0.6, 3.0));
         for (s, want) in [(0.0, a), (1.0, b), (0.5, pose(0.4, 2.0))] {

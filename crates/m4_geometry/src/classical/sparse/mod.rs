@@ -9,12 +9,12 @@
 //!        -> all frames, bundle adjustment and motion classification in turn (map, bundle)
 //! ```
 //!
-//! Where the cameras are known, [`FeatureTracks::with_cameras`] triangulates and finds dynamic points; cameras with which few tracks agree
-//! are compared with those of the clip itself.
+//! Where the cameras are known, [`FeatureTracks::with_cameras`] triangulates and finds dynamic
+//! points; cameras with which few tracks agree are compared with those of the clip itself.
 //!
 //! Inside, lengths in images are *working pixels*: those of the shrunk image, measured from the
-//! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
-//! (priors). Poses inside are world to camera.
+//! image centre, which is the principal point: observations by a lens that is known to differ are
+//! moved there first (priors). Poses inside are world to camera.
 
 mod anchor;
 mod bundle;
@@ -45,17 +45,18 @@ use serde::{Deserialize, Serialize};
 pub struct SparseConfig {
     /// Horizontal field of view, degrees, where it is known. Kept as it is.
     pub fov_deg: Option<f64>,
-    /// Focal length in pixels of the input frames, where it is known. Kept as it is; takes precedence
-    /// over `fov_deg`.
+    /// Focal length in pixels of the input frames, where it is known. Kept as it is; takes
+    /// precedence over `fov_deg`.
     pub focal_px: Option<f64>,
     /// True when the camera is known to be static: nothing is reconstructed.
     pub static_camera: bool,
-    /// The lens where it is known: horizontal and vertical focal length and the principal point from the image's corner,
-    /// pixels of the input frames. Kept as it is; takes precedence over `focal_px`. For callers in Rust.
+    /// The lens where it is known: horizontal and vertical focal length and the principal point
+    /// from the image's corner, pixels of the input frames. Kept as it is; takes precedence over
+    /// `focal_px`. For callers in Rust.
     #[serde(skip)]
     pub intrinsics: Option<[f64; 4]>,
-    /// Field of view assumed where the motion of the camera reveals nothing about it, degrees. 60: the main camera of common
-    /// phones held upright to wide. For callers in Rust.
+    /// Field of view assumed where the motion of the camera reveals nothing about it, degrees. 60:
+    /// the main camera of common phones held upright to wide. For callers in Rust.
     #[serde(skip)]
     pub default_fov_deg: f64,
     /// Seed of the random samples. For callers in Rust.
@@ -65,7 +66,14 @@ pub struct SparseConfig {
 
 impl Default for SparseConfig {
     fn default() -> Self {
-        Self { fov_deg: None, focal_px: None, static_camera: false, intrinsics: None, default_fov_deg: 60.0, seed: 0 }
+        Self {
+            fov_deg: None,
+            focal_px: None,
+            static_camera: false,
+            intrinsics: None,
+            default_fov_deg: 60.0,
+            seed: 0,
+        }
     }
 }
 
@@ -86,7 +94,8 @@ pub enum SparseError {
         /// What it may be.
         range: &'static str,
     },
-    /// Frames that do not agree on a static scene, or given poses that contradict them; the text has the numbers.
+    /// Frames that do not agree on a static scene, or given poses that contradict them; the text
+    /// has the numbers.
     #[error("{0}")]
     NoAgreement(String),
     /// The user stopped the run.
@@ -96,7 +105,11 @@ pub enum SparseError {
 
 /// Fails once the user asked to stop.
 fn stopped(progress: &dyn m4_core::Progress) -> Result<(), SparseError> {
-    if progress.cancelled() { Err(SparseError::Cancelled) } else { Ok(()) }
+    if progress.cancelled() {
+        Err(SparseError::Cancelled)
+    } else {
+        Ok(())
+    }
 }
 
 /// Epipolar and reprojection errors above this do not count as agreement, working pixels.

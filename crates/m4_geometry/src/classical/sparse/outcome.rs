@@ -9,8 +9,15 @@ use m4_core::advice::FIELD_OF_VIEW;
 use m4_core::{Camera, Intrinsics, Se3, median};
 
 impl Clip<'_> {
-    /// Says what is doubtful, with numbers; the standard deviation of the logarithm of the focal length.
-    pub(super) fn judge(&mut self, map: &Map, motions: &[Motion], report: &BundleReport, free_focal: bool) -> f64 {
+    /// Says what is doubtful, with numbers; the standard deviation of the logarithm of the focal
+    /// length.
+    pub(super) fn judge(
+        &mut self,
+        map: &Map,
+        motions: &[Motion],
+        report: &BundleReport,
+        free_focal: bool,
+    ) -> f64 {
         let typical = map.median_error(&self.tracks).unwrap_or(0.0);
         if typical > 1.0 {
             self.warn(format!(
@@ -32,7 +39,8 @@ impl Clip<'_> {
                 100.0 * sigma.min(9.99)
             ));
         }
-        let [rest, moving] = [Motion::Static, Motion::Dynamic].map(|m| motions.iter().filter(|x| **x == m).count());
+        let [rest, moving] =
+            [Motion::Static, Motion::Dynamic].map(|m| motions.iter().filter(|x| **x == m).count());
         if moving > rest {
             self.warn(format!(
                 "more tracks are dynamic ({moving}) than static ({rest}): the poses may follow a moving object"
@@ -40,7 +48,9 @@ impl Clip<'_> {
         }
         let points = map.points.iter().flatten().count();
         if points < 100 {
-            self.warn(format!("only {points} points were triangulated; camera poses may be wrong"));
+            self.warn(format!(
+                "only {points} points were triangulated; camera poses may be wrong"
+            ));
         }
         sigma
     }
@@ -58,7 +68,9 @@ impl Clip<'_> {
                 "{missing} of {} frames could not be placed; their poses are interpolated between neighbours",
                 self.frames
             ));
-            map.poses = (0..self.frames).map(|i| map.poses[i].or_else(|| map.starts(i).first().copied())).collect();
+            map.poses = (0..self.frames)
+                .map(|i| map.poses[i].or_else(|| map.starts(i).first().copied()))
+                .collect();
         }
         normalise(&mut map, &self.tracks);
         let (tracks, residual_px) = self.hand_out(&map, motions);
@@ -82,7 +94,8 @@ impl Clip<'_> {
         let mut residuals = Vec::new();
         let seen = |raw: &RawTrack| {
             let seen = (raw.first..).zip(&raw.seen);
-            seen.map(|(frame, &p)| self.lenses.input_px(frame, p, self.size, map.focal)).collect()
+            seen.map(|(frame, &p)| self.lenses.input_px(frame, p, self.size, map.focal))
+                .collect()
         };
         let judged = self.tracks.iter().zip(&map.points).zip(motions);
         let judged = judged.map(|((raw, point), &motion)| {
@@ -90,7 +103,13 @@ impl Clip<'_> {
             let mut errors = point.map(|x| map.errors(raw, &x)).unwrap_or_default();
             residuals.extend(errors.iter().map(|e| e / scale));
             let residual_px = median(&mut errors).unwrap_or(0.0) / scale;
-            Track { first_frame: raw.first, observations: seen(raw), motion, point, residual_px }
+            Track {
+                first_frame: raw.first,
+                observations: seen(raw),
+                motion,
+                point,
+                residual_px,
+            }
         });
         let mut tracks: Vec<Track> = judged.collect();
         tracks.extend(self.masked.iter().map(|raw| Track {
@@ -104,7 +123,8 @@ impl Clip<'_> {
     }
 }
 
-/// Moves the world to the camera of frame 0 and scales it so that the median depth of the points is 1.
+/// Moves the world to the camera of frame 0 and scales it so that the median depth of the points is
+/// 1.
 fn normalise(map: &mut Map, tracks: &[RawTrack]) {
     let Some(first) = map.poses.first().copied().flatten() else {
         return;
@@ -116,7 +136,9 @@ fn normalise(map: &mut Map, tracks: &[RawTrack]) {
             depths.extend(map.poses[frame].map(|pose| pose.transform(point).z));
         }
     }
-    let scale = median(&mut depths).filter(|d| *d > 0.0).map_or(1.0, |d| 1.0 / d);
+    let scale = median(&mut depths)
+        .filter(|d| *d > 0.0)
+        .map_or(1.0, |d| 1.0 / d);
     let world = first.inverse();
     for pose in map.poses.iter_mut().flatten() {
         *pose = pose.compose(&world);

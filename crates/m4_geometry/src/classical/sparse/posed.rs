@@ -1,4 +1,5 @@
-//! Cameras that are known: tracks, points and motion alone; and given poses against those that the clip itself suggests.
+//! Cameras that are known: tracks, points and motion alone; and given poses against those that the
+//! clip itself suggests.
 
 use super::bundle::BundleReport;
 use super::growth::MIN_POINTS;
@@ -14,8 +15,7 @@ use m4_core::{Camera, Mask, Progress, Sim3, log_so3};
 /// Share of the tracks that must agree with given poses; below, they are doubted.
 const DOUBTFUL_SHARE: f64 = 0.5;
 /// What the user can do about poses that do not fit.
-const CHECK_POSES: &str =
-    "check the order of the frames, the direction (camera to world) and the axes of the poses, and the focal length";
+const CHECK_POSES: &str = "check the order of the frames, the direction (camera to world) and the axes of the poses, and the focal length";
 /// Cameras that turn less than this, radians, and do not move are static.
 const STILL_RAD: f64 = 1e-4;
 /// How many times as many tracks must agree with other poses.
@@ -25,12 +25,14 @@ const SAME_WAY: f64 = 0.05;
 const SAME_RAD: f64 = 0.035;
 
 impl FeatureTracks {
-    /// Finds points and motion of a clip whose cameras are known, each with its own lens. Cameras, their world and their unit are handed
-    /// out as they were given; `masks` as in [`recover`](Self::recover).
+    /// Finds points and motion of a clip whose cameras are known, each with its own lens. Cameras,
+    /// their world and their unit are handed out as they were given; `masks` as in
+    /// [`recover`](Self::recover).
     ///
     /// # Errors
     ///
-    /// [`SparseError`] as for [`recover`](Self::recover), and where cameras and frames do not fit or the poses contradict the images.
+    /// [`SparseError`] as for [`recover`](Self::recover), and where cameras and frames do not fit
+    /// or the poses contradict the images.
     pub fn with_cameras(
         &self,
         cameras: &[Camera],
@@ -39,13 +41,21 @@ impl FeatureTracks {
         progress: &dyn Progress,
     ) -> Result<Recovered, SparseError> {
         check_count("cameras", cameras.len(), self.frames).map_err(SparseError::Input)?;
-        check_count("masks", masks.map_or(self.frames, <[_]>::len), self.frames).map_err(SparseError::Input)?;
+        check_count("masks", masks.map_or(self.frames, <[_]>::len), self.frames)
+            .map_err(SparseError::Input)?;
         let usable = |Camera { intrinsics: k, c2w }: &Camera| {
-            let numbers = [k.fx, k.fy, k.cx, k.cy].into_iter().chain(c2w.to_translation_quaternion());
-            [k.width, k.height] == self.size && k.fx > 0.0 && k.fy > 0.0 && numbers.into_iter().all(f64::is_finite)
+            let numbers = [k.fx, k.fy, k.cx, k.cy]
+                .into_iter()
+                .chain(c2w.to_translation_quaternion());
+            [k.width, k.height] == self.size
+                && k.fx > 0.0
+                && k.fy > 0.0
+                && numbers.into_iter().all(f64::is_finite)
         };
         if let Some(frame) = cameras.iter().position(|camera| !usable(camera)) {
-            let what = format!("the camera of frame {frame} is of another image size, or its numbers cannot be used");
+            let what = format!(
+                "the camera of frame {frame} is of another image size, or its numbers cannot be used"
+            );
             return Err(SparseError::Input(what));
         }
         let lenses = Lenses(cameras.iter().map(|c| c.intrinsics).collect());
@@ -55,14 +65,21 @@ impl FeatureTracks {
 
 impl Clip<'_> {
     fn posed(&mut self, cameras: &[Camera]) -> Result<Recovered, SparseError> {
-        let focal = cameras.iter().map(|c| (c.intrinsics.fx * c.intrinsics.fy).sqrt()).sum::<f64>()
+        let focal = cameras
+            .iter()
+            .map(|c| (c.intrinsics.fx * c.intrinsics.fy).sqrt())
+            .sum::<f64>()
             / cameras.len().max(1) as f64
             * self.size.scale;
         self.undo_lenses(focal);
         if let Some(sway) = sway(&self.tracks, self.frames, &[focal]) {
             self.limits.adapt(&sway, self.size.width);
         }
-        let mut map = Map::new(focal, cameras.iter().map(|c| Some(c.w2c())).collect(), &self.tracks);
+        let mut map = Map::new(
+            focal,
+            cameras.iter().map(|c| Some(c.w2c())).collect(),
+            &self.tracks,
+        );
         let mut motions = Vec::new();
         for _ in 0..ROUNDS {
             stopped(self.progress)?;
@@ -74,7 +91,10 @@ impl Clip<'_> {
         let judged = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(judged / 20);
         let camera_motion = if points >= needed {
-            let report = BundleReport { cost: 0.0, log_focal_sigma: f64::INFINITY };
+            let report = BundleReport {
+                cost: 0.0,
+                log_focal_sigma: f64::INFINITY,
+            };
             self.judge(&map, &motions, &report, false);
             if (points as f64) < DOUBTFUL_SHARE * judged as f64 {
                 self.refute(cameras, focal, points, judged)?;
@@ -112,9 +132,15 @@ impl Clip<'_> {
         })
     }
 
-    /// Fails where poses found from the clip alone, with the given focal length (working pixels), explain far more tracks than
-    /// the `points` that the given ones do, and are others.
-    fn refute(&self, cameras: &[Camera], focal: f64, points: usize, judged: usize) -> Result<(), SparseError> {
+    /// Fails where poses found from the clip alone, with the given focal length (working pixels),
+    /// explain far more tracks than the `points` that the given ones do, and are others.
+    fn refute(
+        &self,
+        cameras: &[Camera],
+        focal: f64,
+        points: usize,
+        judged: usize,
+    ) -> Result<(), SparseError> {
         let config = SparseConfig {
             fov_deg: None,
             focal_px: Some(focal / self.size.scale),
@@ -157,15 +183,25 @@ fn motionless(cameras: &[Camera]) -> CameraMotion {
         let turn = cameras[0].c2w.rotation.tr_mul(&c.c2w.rotation);
         log_so3(&turn).norm() > STILL_RAD
     };
-    if cameras.iter().any(turns) { CameraMotion::RotationOnly } else { CameraMotion::Static }
+    if cameras.iter().any(turns) {
+        CameraMotion::RotationOnly
+    } else {
+        CameraMotion::Static
+    }
 }
 
-/// How far `a` is from `b` once its world is laid over that of `b`: root mean square distance over the length of the way, and
-/// the greatest turn between two cameras of a frame, radians.
+/// How far `a` is from `b` once its world is laid over that of `b`: root mean square distance over
+/// the length of the way, and the greatest turn between two cameras of a frame, radians.
 fn apart(a: &[Camera], b: &[Camera]) -> (f64, f64) {
-    let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<Vector3<f64>>>();
+    let centres = |cameras: &[Camera]| {
+        cameras
+            .iter()
+            .map(Camera::centre)
+            .collect::<Vec<Vector3<f64>>>()
+    };
     let (from, to) = (centres(a), centres(b));
-    // Turns are compared with those since the first frame: a straight way leaves the turn about it open.
+    // Turns are compared with those since the first frame: a straight way leaves the turn about it
+    // open.
     let turn = |(x, y): (&Camera, &Camera)| {
         let since = |c: &Camera, first: &Camera| first.c2w.rotation.tr_mul(&c.c2w.rotation);
         log_so3(&since(x, &a[0]).tr_mul(&since(y, &b[0]))).norm()
@@ -175,6 +211,10 @@ fn apart(a: &[Camera], b: &[Camera]) -> (f64, f64) {
     let Some(fit) = Sim3::umeyama(&from, &to).filter(|_| way > 0.0) else {
         return (f64::INFINITY, turn_rad);
     };
-    let squared: f64 = from.iter().zip(&to).map(|(p, q)| (fit.transform(p) - q).norm_squared()).sum();
+    let squared: f64 = from
+        .iter()
+        .zip(&to)
+        .map(|(p, q)| (fit.transform(p) - q).norm_squared())
+        .sum();
     ((squared / to.len() as f64).sqrt() / way, turn_rad)
 }

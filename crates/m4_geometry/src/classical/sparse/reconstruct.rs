@@ -4,17 +4,21 @@ use super::degenerate::turning;
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::{Map, classify};
 use super::priors::{FocalSource, Lenses, Recovered, part};
-use super::rotation::{KEYFRAME_PARALLAX, Limits, MIN_TRACKS, Sway, focal_candidates, focal_from_fov, matches, sway};
+use super::rotation::{
+    KEYFRAME_PARALLAX, Limits, MIN_TRACKS, Sway, focal_candidates, focal_from_fov, matches, sway,
+};
 use super::tracking::{RawTrack, track};
 use super::{SparseConfig, SparseError, stopped};
 use crate::classical::{CameraMotion, check_count};
 use m4_core::advice::{FIELD_OF_VIEW, STATIC_CAMERA};
 use m4_core::{Intrinsics, Mask, Progress, RgbImage, Se3};
 
-/// Below this greatest median parallax (share of the width, rotation taken out) nothing can be triangulated and the camera counts as
-/// turning only. 0.004: 2 pixels of 480, some twenty times the error of a track.
+/// Below this greatest median parallax (share of the width, rotation taken out) nothing can be
+/// triangulated and the camera counts as turning only. 0.004: 2 pixels of 480, some twenty times
+/// the error of a track.
 const MIN_PARALLAX: f64 = 0.004;
-/// Below this motion of 60 % of all tracks over the clip the camera counts as static, working pixels.
+/// Below this motion of 60 % of all tracks over the clip the camera counts as static, working
+/// pixels.
 const STATIC_MOTION_PX: f64 = 1.0;
 /// A camera declared static is doubted when the image moves by this many times
 /// [`STATIC_MOTION_PX`].
@@ -28,7 +32,14 @@ pub(super) fn from_tracks(
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
     let [width, height] = features.size;
-    let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics { width, height, fx, fy, cx, cy });
+    let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    });
     let lenses = Lenses(lens.into_iter().collect());
     let mut clip = Clip::new(features, masks, lenses, config, progress);
     if let Some(focal) = clip.given_focal() {
@@ -41,7 +52,9 @@ fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), 
     let refused = |what: String| Err(SparseError::Input(what));
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
         let found = frames.len();
-        return refused(format!("the clip has {found} frame(s); at least 2 are needed to observe motion"));
+        return refused(format!(
+            "the clip has {found} frame(s); at least 2 are needed to observe motion"
+        ));
     };
     let (width, height) = first.size();
     for (frame, image) in frames.iter().enumerate() {
@@ -58,11 +71,19 @@ fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), 
         ));
     }
     let range = |name, value: Option<f64>, low: f64, high: f64, range| match value {
-        Some(value) if !(value > low && value < high) => Err(SparseError::Setting { name, value, range }),
+        Some(value) if !(value > low && value < high) => {
+            Err(SparseError::Setting { name, value, range })
+        }
         _ => Ok(()),
     };
     range("fov_deg", config.fov_deg, 1.0, 175.0, "1 to 175 degrees")?;
-    range("focal_px", config.focal_px, 0.0, f64::INFINITY, "above 0 pixels")?;
+    range(
+        "focal_px",
+        config.focal_px,
+        0.0,
+        f64::INFINITY,
+        "above 0 pixels",
+    )?;
     let [fx, fy, cx, cy] = config.intrinsics.map_or([None; 4], |k| k.map(Some));
     let inside = "within the image, from its corner";
     range("intrinsics fx", fx, 0.0, f64::INFINITY, "above 0 pixels")?;
@@ -132,7 +153,10 @@ impl<'a> Clip<'a> {
 
     /// The focal length that the user gave, working pixels.
     pub(super) fn given_focal(&self) -> Option<f64> {
-        let from_fov = self.config.fov_deg.map(|fov| focal_from_fov(self.width, fov));
+        let from_fov = self
+            .config
+            .fov_deg
+            .map(|fov| focal_from_fov(self.width, fov));
         let from_lens = self.config.intrinsics.map(|[fx, fy, ..]| (fx * fy).sqrt());
         let focal = from_lens.or(self.config.focal_px).or(from_fov);
         focal.map(|f| f * self.size.scale)
@@ -149,7 +173,9 @@ impl<'a> Clip<'a> {
 
     /// Horizontal field of view of a focal length in working pixels, degrees.
     pub(super) fn fov_deg(&self, focal: f64) -> f64 {
-        2.0 * (0.5 * self.width as f64 * self.size.scale / focal).atan().to_degrees()
+        2.0 * (0.5 * self.width as f64 * self.size.scale / focal)
+            .atan()
+            .to_degrees()
     }
 
     pub(super) fn solve(&mut self) -> Result<Recovered, SparseError> {
@@ -204,7 +230,11 @@ impl<'a> Clip<'a> {
                 self.progress.warn(warning);
             }
         }
-        if moving.is_err() && share < KEYFRAME_PARALLAX { self.turning(&focals, &sway) } else { moving }
+        if moving.is_err() && share < KEYFRAME_PARALLAX {
+            self.turning(&focals, &sway)
+        } else {
+            moving
+        }
     }
 
     fn check_tracks(&self) -> Result<(), SparseError> {
@@ -231,14 +261,24 @@ impl<'a> Clip<'a> {
 
     /// One pose for all frames.
     fn one_pose(&mut self) -> Recovered {
-        let map = Map::new(self.default_focal(), vec![Some(Se3::identity()); self.frames], &self.tracks);
+        let map = Map::new(
+            self.default_focal(),
+            vec![Some(Se3::identity()); self.frames],
+            &self.tracks,
+        );
         self.without_points(map, CameraMotion::Static, false)
     }
 
     /// Rotations alone.
     fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
         stopped(self.progress)?;
-        let found = turning(&self.tracks, self.frames, focals, self.default_focal(), self.limits.cauchy_px);
+        let found = turning(
+            &self.tracks,
+            self.frames,
+            focals,
+            self.default_focal(),
+            self.limits.cauchy_px,
+        );
         let note = self.focal_note(found.focal_observed);
         self.warn(format!(
             "the camera rotates (by up to {:.1} degrees) but hardly translates: median parallax is at most {:.1} px where \
@@ -256,15 +296,24 @@ impl<'a> Clip<'a> {
         Ok(self.without_points(found.map, CameraMotion::RotationOnly, found.focal_observed))
     }
 
-    /// The reconstruction of a camera that does not translate; `focal_observed`: its rotation reveals the focal length.
-    pub(super) fn without_points(&mut self, map: Map, camera_motion: CameraMotion, focal_observed: bool) -> Recovered {
+    /// The reconstruction of a camera that does not translate; `focal_observed`: its rotation
+    /// reveals the focal length.
+    pub(super) fn without_points(
+        &mut self,
+        map: Map,
+        camera_motion: CameraMotion,
+        focal_observed: bool,
+    ) -> Recovered {
         let focal = match self.given_focal() {
             Some(_) => FocalSource::Given,
             None if focal_observed => FocalSource::Estimated { sigma: None },
             None => FocalSource::Assumed,
         };
         let motions = classify(&map, &self.tracks);
-        Recovered { sparse: self.finish(map, &motions, camera_motion), focal }
+        Recovered {
+            sparse: self.finish(map, &motions, camera_motion),
+            focal,
+        }
     }
 
     pub(super) fn focal_note(&self, focal_observed: bool) -> String {
@@ -290,7 +339,8 @@ pub struct FeatureTracks {
 ///
 /// # Errors
 ///
-/// [`SparseError`] for frames of different size, settings out of range, and when the user stops the run.
+/// [`SparseError`] for frames of different size, settings out of range, and when the user stops the
+/// run.
 pub fn track_features(
     frames: &[&RgbImage],
     config: &SparseConfig,
@@ -299,32 +349,39 @@ pub fn track_features(
     let (width, height) = check(frames, config)?;
     let working = WorkingSize::new(width, height, LONGEST_SIDE_PX);
     let tracks = track(frames, working, progress)?;
-    Ok(FeatureTracks { tracks, frames: frames.len(), size: [width, height], working })
+    Ok(FeatureTracks {
+        tracks,
+        frames: frames.len(),
+        size: [width, height],
+        working,
+    })
 }
 
 impl FeatureTracks {
     /// Estimates cameras and points from the tracks (docs/spec/front-end.md 7.1, items 1 to 5).
     ///
-    /// The world is the camera of frame 0, scaled so that the median depth of all points is 1. One focal
-    /// length is shared by all frames; the principal point is the image centre and pixels are square, unless
-    /// [`SparseConfig::intrinsics`] says otherwise.
+    /// The world is the camera of frame 0, scaled so that the median depth of all points is 1. One
+    /// focal length is shared by all frames; the principal point is the image centre and pixels are
+    /// square, unless [`SparseConfig::intrinsics`] says otherwise.
     ///
-    /// `masks` has one mask per frame, of any size, read at the nearest pixel: tracks that mostly lie where it is above 0 are returned
-    /// as dynamic and do not affect the camera.
+    /// `masks` has one mask per frame, of any size, read at the nearest pixel: tracks that mostly
+    /// lie where it is above 0 are returned as dynamic and do not affect the camera.
     ///
-    /// Cameras that are static or only rotate are no error: `camera_motion` and the warnings of the result say so.
+    /// Cameras that are static or only rotate are no error: `camera_motion` and the warnings of the
+    /// result say so.
     ///
     /// # Errors
     ///
-    /// [`SparseError`] for clips in which nothing can be tracked or no two frames agree on a rigid scene, for masks of
-    /// another number than that of the frames, and when the user stops the run.
+    /// [`SparseError`] for clips in which nothing can be tracked or no two frames agree on a rigid
+    /// scene, for masks of another number than that of the frames, and when the user stops the run.
     pub fn recover(
         &self,
         masks: Option<&[Mask]>,
         config: &SparseConfig,
         progress: &dyn Progress,
     ) -> Result<Recovered, SparseError> {
-        check_count("masks", masks.map_or(self.frames, <[_]>::len), self.frames).map_err(SparseError::Input)?;
+        check_count("masks", masks.map_or(self.frames, <[_]>::len), self.frames)
+            .map_err(SparseError::Input)?;
         from_tracks(self.clone(), masks, config, progress)
     }
 }

@@ -1,4 +1,5 @@
-//! Frames related by a turn of the camera alone, what is left when that turn is taken out, and the thresholds that follow from it.
+//! Frames related by a turn of the camera alone, what is left when that turn is taken out, and the
+//! thresholds that follow from it.
 
 use super::map::RAYLEIGH_MEDIAN;
 use super::tracking::RawTrack;
@@ -13,8 +14,8 @@ const FOV_CANDIDATES: usize = 12;
 const MIN_FOV_DEG: f64 = 35.0;
 /// Greatest horizontal field of view tried, degrees. 100: docs/spec/front-end.md 7.1.
 const MAX_FOV_DEG: f64 = 100.0;
-/// A frame becomes a keyframe when the median parallax to the last one, rotation taken out, exceeds this share of the image width.
-/// 0.015: docs/spec/front-end.md 7.1.
+/// A frame becomes a keyframe when the median parallax to the last one, rotation taken out, exceeds
+/// this share of the image width. 0.015: docs/spec/front-end.md 7.1.
 pub(super) const KEYFRAME_PARALLAX: f64 = 0.015;
 /// ... or when fewer than this share of the last keyframe's tracks are still seen.
 const KEYFRAME_SURVIVAL: f64 = 0.6;
@@ -29,7 +30,8 @@ pub(crate) fn ray(at: [f64; 2], focal: f64) -> Vector3<f64> {
     Vector3::new(at[0], at[1], focal).normalize()
 }
 
-/// The rotation that fits a sum of outer products of directions after and before it best (Wahba's problem).
+/// The rotation that fits a sum of outer products of directions after and before it best (Wahba's
+/// problem).
 pub(crate) fn nearest_rotation(sum: Matrix3<f64>) -> Option<Matrix3<f64>> {
     let svd = sum.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);
@@ -39,7 +41,10 @@ pub(crate) fn nearest_rotation(sum: Matrix3<f64>) -> Option<Matrix3<f64>> {
 
 /// Tracks seen in both frames, and where.
 pub(crate) fn matches(tracks: &[RawTrack], a: usize, b: usize) -> Vec<Match> {
-    tracks.iter().filter_map(|t| Some((t.at(a)?, t.at(b)?))).collect()
+    tracks
+        .iter()
+        .filter_map(|t| Some((t.at(a)?, t.at(b)?)))
+        .collect()
 }
 
 /// The turn that maps rays of the first frame to rays of the second.
@@ -51,20 +56,31 @@ pub(crate) struct Turn {
     pub parallax_px: f64,
 }
 
-/// Iteratively re-weighted solution of Wahba's problem; the Cauchy scale shrinks from 16 pixels to 1.
-/// `None` for fewer than 3 matches.
+/// Iteratively re-weighted solution of Wahba's problem; the Cauchy scale shrinks from 16 pixels to
+/// 1. `None` for fewer than 3 matches.
 pub(crate) fn turn(matches: &[Match], focal: f64) -> Option<Turn> {
     if matches.len() < 3 {
         return None;
     }
-    let rays: Vec<(Vector3<f64>, Vector3<f64>)> = matches.iter().map(|m| (ray(m.0, focal), ray(m.1, focal))).collect();
+    let rays: Vec<(Vector3<f64>, Vector3<f64>)> = matches
+        .iter()
+        .map(|m| (ray(m.0, focal), ray(m.1, focal)))
+        .collect();
     let mut rotation = Matrix3::identity();
     let residual = |rotation: &Matrix3<f64>, (a, _): &(Vector3<f64>, Vector3<f64>), m: &Match| {
         let p = rotation * a;
-        if p.z > 1e-6 { (focal * p.x / p.z - m.1[0]).hypot(focal * p.y / p.z - m.1[1]) } else { focal }
+        if p.z > 1e-6 {
+            (focal * p.x / p.z - m.1[0]).hypot(focal * p.y / p.z - m.1[1])
+        } else {
+            focal
+        }
     };
     for step in 0..12 {
-        let scale = if step == 0 { 1e9 } else { (16.0 * 0.7_f64.powi(step)).max(1.0) };
+        let scale = if step == 0 {
+            1e9
+        } else {
+            (16.0 * 0.7_f64.powi(step)).max(1.0)
+        };
         let mut sum = Matrix3::zeros();
         for (pair, m) in rays.iter().zip(matches) {
             let weight = 1.0 / (1.0 + (residual(&rotation, pair, m) / scale).powi(2));
@@ -72,8 +88,15 @@ pub(crate) fn turn(matches: &[Match], focal: f64) -> Option<Turn> {
         }
         rotation = nearest_rotation(sum)?;
     }
-    let mut left: Vec<f64> = rays.iter().zip(matches).map(|(r, m)| residual(&rotation, r, m)).collect();
-    Some(Turn { rotation, parallax_px: median(&mut left)? })
+    let mut left: Vec<f64> = rays
+        .iter()
+        .zip(matches)
+        .map(|(r, m)| residual(&rotation, r, m))
+        .collect();
+    Some(Turn {
+        rotation,
+        parallax_px: median(&mut left)?,
+    })
 }
 
 /// Focal lengths in working pixels for the fields of view to try, widest lens first.
@@ -81,7 +104,9 @@ pub(crate) fn focal_candidates(width: usize) -> Vec<f64> {
     // Evenly spaced in the logarithm of the focal length.
     let at = |deg: f64| focal_from_fov(width, deg).ln();
     let (low, high) = (at(MAX_FOV_DEG), at(MIN_FOV_DEG));
-    (0..FOV_CANDIDATES).map(|i| (low + (high - low) * (i as f64 + 0.5) / FOV_CANDIDATES as f64).exp()).collect()
+    (0..FOV_CANDIDATES)
+        .map(|i| (low + (high - low) * (i as f64 + 0.5) / FOV_CANDIDATES as f64).exp())
+        .collect()
 }
 
 /// Focal length in pixels of an image `width` pixels wide.
@@ -116,7 +141,10 @@ pub(crate) fn sway(tracks: &[RawTrack], frames: usize, focals: &[f64]) -> Option
         }
     }
     let displacement = |pair: &Vec<Match>| {
-        let mut lengths: Vec<f64> = pair.iter().map(|m| (m.1[0] - m.0[0]).hypot(m.1[1] - m.0[1])).collect();
+        let mut lengths: Vec<f64> = pair
+            .iter()
+            .map(|m| (m.1[0] - m.0[0]).hypot(m.1[1] - m.0[1]))
+            .collect();
         let k = lengths.len() * 6 / 10;
         *lengths.select_nth_unstable_by(k, f64::total_cmp).1
     };
@@ -129,10 +157,17 @@ pub(crate) fn sway(tracks: &[RawTrack], frames: usize, focals: &[f64]) -> Option
                 let angle = (0.5 * (t.rotation.trace() - 1.0)).clamp(-1.0, 1.0).acos();
                 (p.max(t.parallax_px), w.max(angle))
             });
-            Sway { motion_px, parallax_px, focal, turn_rad }
+            Sway {
+                motion_px,
+                parallax_px,
+                focal,
+                turn_rad,
+            }
         })
         .collect();
-    by_focal.into_iter().min_by(|a, b| a.parallax_px.total_cmp(&b.parallax_px))
+    by_focal
+        .into_iter()
+        .min_by(|a, b| a.parallax_px.total_cmp(&b.parallax_px))
 }
 
 /// At most `count` of `0..n`, evenly spread, first and last among them.
@@ -140,19 +175,31 @@ pub(crate) fn spread(n: usize, count: usize) -> Vec<usize> {
     if n <= count {
         return (0..n).collect();
     }
-    (0..count).map(|i| i * (n - 1) / (count - 1).max(1)).collect()
+    (0..count)
+        .map(|i| i * (n - 1) / (count - 1).max(1))
+        .collect()
 }
 
-/// Keyframes: frame 0, then a frame whenever the parallax to the last keyframe or the loss of tracks
-/// asks for one, and the last frame; `parallax` as [`KEYFRAME_PARALLAX`].
-pub(crate) fn keyframes(tracks: &[RawTrack], frames: usize, width: usize, focal: f64, parallax: f64) -> Vec<usize> {
+/// Keyframes: frame 0, then a frame whenever the parallax to the last keyframe or the loss of
+/// tracks asks for one, and the last frame; `parallax` as [`KEYFRAME_PARALLAX`].
+pub(crate) fn keyframes(
+    tracks: &[RawTrack],
+    frames: usize,
+    width: usize,
+    focal: f64,
+    parallax: f64,
+) -> Vec<usize> {
     let mut threshold = parallax * width as f64;
     loop {
         let mut keys = vec![0];
         let mut last = 0;
         for frame in 1..frames {
             let found = matches(tracks, last, frame);
-            let started = tracks.iter().filter(|t| t.at(last).is_some()).count().max(1);
+            let started = tracks
+                .iter()
+                .filter(|t| t.at(last).is_some())
+                .count()
+                .max(1);
             let lost = (found.len() as f64) < KEYFRAME_SURVIVAL * started as f64;
             if lost || turn(&found, focal).is_none_or(|t| t.parallax_px > threshold) {
                 keys.push(frame);
@@ -173,8 +220,8 @@ pub(crate) fn keyframes(tracks: &[RawTrack], frames: usize, width: usize, focal:
     }
 }
 
-/// Bundle adjustment of all frames has a loss as wide as this many robust standard deviations of the residuals. 2.385: 95 % efficiency
-/// on normal errors (Holland and Welsch 1977).
+/// Bundle adjustment of all frames has a loss as wide as this many robust standard deviations of
+/// the residuals. 2.385: 95 % efficiency on normal errors (Holland and Welsch 1977).
 const CAUCHY_DEVIATIONS: f64 = 2.385;
 
 /// Thresholds that follow how much parallax there is and how large the residuals are.
@@ -182,9 +229,9 @@ const CAUCHY_DEVIATIONS: f64 = 2.385;
 pub(crate) struct Limits {
     /// Scale of the Cauchy loss of bundle adjustment, working pixels. 1 while the map grows.
     pub cauchy_px: f64,
-    /// Points whose rays meet at less than this are not triangulated, degrees. 1.5: docs/spec/front-end.md 7.1. In
-    /// clips with so little parallax that this would leave few points, half the angle that the
-    /// greatest median parallax stands for.
+    /// Points whose rays meet at less than this are not triangulated, degrees. 1.5:
+    /// docs/spec/front-end.md 7.1. In clips with so little parallax that this would leave few
+    /// points, half the angle that the greatest median parallax stands for.
     pub min_angle_deg: f64,
     /// See [`KEYFRAME_PARALLAX`].
     pub keyframe_parallax: f64,
@@ -192,7 +239,11 @@ pub(crate) struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { cauchy_px: 1.0, min_angle_deg: 1.5, keyframe_parallax: KEYFRAME_PARALLAX }
+        Self {
+            cauchy_px: 1.0,
+            min_angle_deg: 1.5,
+            keyframe_parallax: KEYFRAME_PARALLAX,
+        }
     }
 }
 
@@ -204,11 +255,14 @@ impl Limits {
         self.cauchy_px = self.cauchy_px.min(scale.max(0.05));
     }
 
-    /// Little parallax asks for keyframes and rays that lie closer together; `width` is that of the working size.
+    /// Little parallax asks for keyframes and rays that lie closer together; `width` is that of the
+    /// working size.
     pub fn adapt(&mut self, sway: &Sway, width: usize) {
         let angle_deg = (sway.parallax_px / sway.focal).to_degrees();
         self.min_angle_deg = self.min_angle_deg.min(0.5 * angle_deg);
-        self.keyframe_parallax = self.keyframe_parallax.min(0.2 * sway.parallax_px / width as f64);
+        self.keyframe_parallax = self
+            .keyframe_parallax
+            .min(0.2 * sway.parallax_px / width as f64);
     }
 }
 
@@ -224,7 +278,11 @@ mod tests {
         let mut rng = CounterRng::new(9, 0, 0);
         (0..200)
             .map(|_| {
-                let x = Vector3::new(1.2 * rng.normal(), 0.9 * rng.normal(), 5.0 + 5.0 * rng.uniform());
+                let x = Vector3::new(
+                    1.2 * rng.normal(),
+                    0.9 * rng.normal(),
+                    5.0 + 5.0 * rng.uniform(),
+                );
                 let seen = (0..frames)
                     .map(|i| {
                         let t = i as f64;
@@ -250,7 +308,10 @@ mod tests {
     fn sway_separates_rotation_from_translation_and_gives_focal_length() {
         let focals = focal_candidates(480);
         let turning = sway(&tracks(20, 0.02, 0.0, 400.0), 20, &focals).expect("sway");
-        assert!(turning.parallax_px < 2.5 && turning.motion_px > 20.0, "{turning:?}");
+        assert!(
+            turning.parallax_px < 2.5 && turning.motion_px > 20.0,
+            "{turning:?}"
+        );
         assert!((turning.focal / 400.0).ln().abs() < 0.1, "{turning:?}");
         let moving = sway(&tracks(20, 0.0, 0.05, 400.0), 20, &focals).expect("sway");
         assert!(moving.parallax_px > 4.0, "{moving:?}");
@@ -258,8 +319,23 @@ mod tests {
 
     #[test]
     fn keyframes_follow_parallax_alone() {
-        assert_eq!(keyframes(&tracks(20, 0.02, 0.0, 400.0), 20, 480, 400.0, KEYFRAME_PARALLAX), [0, 19]);
-        let moving = keyframes(&tracks(20, 0.0, 0.2, 400.0), 20, 480, 400.0, KEYFRAME_PARALLAX);
+        assert_eq!(
+            keyframes(
+                &tracks(20, 0.02, 0.0, 400.0),
+                20,
+                480,
+                400.0,
+                KEYFRAME_PARALLAX
+            ),
+            [0, 19]
+        );
+        let moving = keyframes(
+            &tracks(20, 0.0, 0.2, 400.0),
+            20,
+            480,
+            400.0,
+            KEYFRAME_PARALLAX,
+        );
         assert!(moving.len() > 4, "{moving:?}");
         assert_eq!(spread(10, 4), [0, 3, 6, 9]);
     }

@@ -6,7 +6,9 @@ use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_core::advice::FIELD_OF_VIEW;
-use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3};
+use m4_core::{
+    Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3,
+};
 use m4_testkit::StopAtPoll;
 
 const WIDTH: usize = 640;
@@ -49,7 +51,8 @@ impl Scene {
         let sway = (0.3 * t).sin();
         Se3 {
             rotation: exp_so3(&(Vector3::new(0.3 * sway, t, 0.2 * sway) * self.turn)),
-            translation: Vector3::new(self.way[0] * t, self.way[1] * sway, self.way[2] * t) * -self.step,
+            translation: Vector3::new(self.way[0] * t, self.way[1] * sway, self.way[2] * t)
+                * -self.step,
         }
     }
 
@@ -71,7 +74,10 @@ impl Scene {
             let x = self.pose(birth).inverse().transform(&(ray * depth));
             let moves = (i as f64) < self.moving * self.points as f64;
             let direction = Vector3::from_fn(|_, _| 0.06 * rng.normal());
-            let mut track = RawTrack { first: birth, seen: Vec::new() };
+            let mut track = RawTrack {
+                first: birth,
+                seen: Vec::new(),
+            };
             for frame in birth..(birth + life).min(self.frames) {
                 let t = (frame - birth) as f64;
                 let bend = Vector3::new((0.4 * t).sin(), (0.5 * t).cos(), 0.0) * 0.1;
@@ -79,7 +85,8 @@ impl Scene {
                 let p = self.pose(frame).transform(&at);
                 let focal = self.focal(frame);
                 let q = [focal * p.x / p.z, focal * p.y / p.z];
-                if p.z < 0.5 || q[0].abs() > WIDTH as f64 / 2.0 || q[1].abs() > HEIGHT as f64 / 2.0 {
+                if p.z < 0.5 || q[0].abs() > WIDTH as f64 / 2.0 || q[1].abs() > HEIGHT as f64 / 2.0
+                {
                     break;
                 }
                 track.seen.push(q.map(|v| v + self.noise_px * rng.normal()));
@@ -94,10 +101,19 @@ impl Scene {
 }
 
 fn features(tracks: Vec<RawTrack>, frames: usize) -> FeatureTracks {
-    FeatureTracks { tracks, frames, size: [WIDTH, HEIGHT], working: WorkingSize::new(WIDTH, HEIGHT, WIDTH) }
+    FeatureTracks {
+        tracks,
+        frames,
+        size: [WIDTH, HEIGHT],
+        working: WorkingSize::new(WIDTH, HEIGHT, WIDTH),
+    }
 }
 
-fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
+fn solve(
+    tracks: Vec<RawTrack>,
+    frames: usize,
+    config: &SparseConfig,
+) -> Result<SparseReconstruction, SparseError> {
     from_tracks(features(tracks, frames), None, config, &Silent).map(|r| r.sparse)
 }
 
@@ -120,14 +136,19 @@ fn it_stops_when_asked() {
     assert!(polls > 50, "asked {polls} times only");
     for at in (0..polls).step_by(polls / 16) {
         let stopped = go(&StopAtPoll::after(at));
-        assert!(matches!(stopped, Err(SparseError::Cancelled)), "{stopped:?}");
+        assert!(
+            matches!(stopped, Err(SparseError::Cancelled)),
+            "{stopped:?}"
+        );
     }
 }
 
 /// Tracks with this motion whose points move, or do not.
 fn judged(found: &SparseReconstruction, moving: &[bool], motion: Motion, moves: bool) -> usize {
     let pairs = found.tracks.iter().zip(moving);
-    pairs.filter(|(t, m)| t.motion == motion && **m == moves).count()
+    pairs
+        .filter(|(t, m)| t.motion == motion && **m == moves)
+        .count()
 }
 
 fn misjudged(found: &SparseReconstruction, moving: &[bool]) -> usize {
@@ -148,7 +169,11 @@ fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
     let Some(fit) = Sim3::umeyama(&ours, &want) else {
         return (f64::INFINITY, turn);
     };
-    let squared: f64 = ours.iter().zip(&want).map(|(a, b)| (fit.transform(a) - b).norm_squared()).sum();
+    let squared: f64 = ours
+        .iter()
+        .zip(&want)
+        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
+        .sum();
     ((squared / want.len() as f64).sqrt() / path, turn)
 }
 
@@ -161,12 +186,27 @@ fn a_room_with_a_fifth_of_moving_points() {
     assert!(trajectory < 0.004, "trajectory error {trajectory}");
     assert!(turn < 0.005, "rotation error {turn}");
     assert!((focal / ROOM.focal - 1.0).abs() < 0.02, "focal {focal}");
-    assert!(found.residual_px < 0.3 && found.warnings.is_empty(), "{:?}", found.warnings);
+    assert!(
+        found.residual_px < 0.3 && found.warnings.is_empty(),
+        "{:?}",
+        found.warnings
+    );
     let judged = |motion: Motion, moves: bool| judged(&found, &moving, motion, moves) as f64;
     let (hit, miss) = (judged(Motion::Dynamic, true), judged(Motion::Static, true));
-    assert!(hit > 0.85 * (hit + miss), "{hit} of {} moving tracks found", hit + miss);
-    let (rest, wrong) = (judged(Motion::Static, false), judged(Motion::Dynamic, false));
-    assert!(wrong < 0.02 * (rest + wrong), "{wrong} of {} resting tracks called moving", rest + wrong);
+    assert!(
+        hit > 0.85 * (hit + miss),
+        "{hit} of {} moving tracks found",
+        hit + miss
+    );
+    let (rest, wrong) = (
+        judged(Motion::Static, false),
+        judged(Motion::Dynamic, false),
+    );
+    assert!(
+        wrong < 0.02 * (rest + wrong),
+        "{wrong} of {} resting tracks called moving",
+        rest + wrong
+    );
     // The world is the first camera, and the median depth is 1.
     assert!((found.cameras[0].c2w.matrix() - Se3::identity().matrix()).norm() < 1e-9);
     for (t, moves) in found.tracks.iter().zip(&moving) {
@@ -180,39 +220,89 @@ fn a_room_with_a_fifth_of_moving_points() {
 
 #[test]
 fn other_lenses_and_a_walk_straight_ahead_are_reconstructed() {
-    let walk = Scene { step: 0.06, way: [0.0, 0.02, 1.0], turn: 0.001, moving: 0.0, ..ROOM };
+    let walk = Scene {
+        step: 0.06,
+        way: [0.0, 0.02, 1.0],
+        turn: 0.001,
+        moving: 0.0,
+        ..ROOM
+    };
     for (what, scene, focal_off, path_off) in [
-        ("wide lens", Scene { focal: 300.0, ..ROOM }, 0.03, 0.01),
-        ("long lens", Scene { focal: 900.0, ..ROOM }, 0.05, 0.01),
+        (
+            "wide lens",
+            Scene {
+                focal: 300.0,
+                ..ROOM
+            },
+            0.03,
+            0.01,
+        ),
+        (
+            "long lens",
+            Scene {
+                focal: 900.0,
+                ..ROOM
+            },
+            0.05,
+            0.01,
+        ),
         ("walk", walk, f64::INFINITY, 0.02),
     ] {
         let (found, _) = solved(&scene);
-        assert_eq!(found.camera_motion, CameraMotion::Parallax, "{what}: {:?}", found.warnings);
+        assert_eq!(
+            found.camera_motion,
+            CameraMotion::Parallax,
+            "{what}: {:?}",
+            found.warnings
+        );
         let (focal, path) = (found.cameras[0].intrinsics.fx, errors(&found, &scene).0);
-        assert!((focal / scene.focal - 1.0).abs() < focal_off && path < path_off, "{what}: {focal} {path}");
+        assert!(
+            (focal / scene.focal - 1.0).abs() < focal_off && path < path_off,
+            "{what}: {focal} {path}"
+        );
     }
 }
 
 #[test]
 fn given_focal_length_and_static_camera_are_used() {
     let solve = |config| solve(ROOM.tracks().0, ROOM.frames, &config).expect("a reconstruction");
-    let found = solve(SparseConfig { focal_px: Some(530.0), fov_deg: Some(40.0), ..SparseConfig::default() });
+    let found = solve(SparseConfig {
+        focal_px: Some(530.0),
+        fov_deg: Some(40.0),
+        ..SparseConfig::default()
+    });
     assert!((found.cameras[0].intrinsics.fx - 530.0).abs() < 1e-9);
     assert!(errors(&found, &ROOM).0 < 0.02);
-    let found = solve(SparseConfig { static_camera: true, fov_deg: Some(60.0), ..SparseConfig::default() });
+    let found = solve(SparseConfig {
+        static_camera: true,
+        fov_deg: Some(60.0),
+        ..SparseConfig::default()
+    });
     assert_eq!(found.camera_motion, CameraMotion::Static);
-    let fov = found.cameras[0].intrinsics.horizontal_fov_rad().to_degrees();
+    let fov = found.cameras[0]
+        .intrinsics
+        .horizontal_fov_rad()
+        .to_degrees();
     assert!((fov - 60.0).abs() < 1e-9, "{fov}");
 }
 
 #[test]
 fn turning_camera_gives_rotations_and_is_reported() {
-    let scene = Scene { step: 0.0, turn: 0.012, moving: 0.1, ..ROOM };
+    let scene = Scene {
+        step: 0.0,
+        turn: 0.012,
+        moving: 0.1,
+        ..ROOM
+    };
     let (found, moving) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::RotationOnly);
     let focal = found.cameras[0].intrinsics.fx;
     assert!((focal / scene.focal - 1.0).abs() < 0.15, "focal {focal}");
-    assert!(errors(&found, &scene).1 < 0.05, "{}", errors(&found, &scene).1);
+    assert!(
+        errors(&found, &scene).1 < 0.05,
+        "{}",
+        errors(&found, &scene).1
+    );
     assert!(found.cameras.iter().all(|c| c.centre().norm() == 0.0));
     assert!(found.tracks.iter().all(|t| t.point.is_none()));
     assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
@@ -221,34 +311,71 @@ fn turning_camera_gives_rotations_and_is_reported() {
 
 #[test]
 fn zoom_gives_rotations_and_intrinsics_per_frame() {
-    let scene = Scene { step: 0.0, zoom: 1.8, ..ROOM };
+    let scene = Scene {
+        step: 0.0,
+        zoom: 1.8,
+        ..ROOM
+    };
     let (tracks, moving) = scene.tracks();
     let found = solve(tracks.clone(), scene.frames, &SparseConfig::default()).unwrap();
-    assert_eq!(found.camera_motion, CameraMotion::RotationOnly, "{:?}", found.warnings);
+    assert_eq!(
+        found.camera_motion,
+        CameraMotion::RotationOnly,
+        "{:?}",
+        found.warnings
+    );
     assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
-    assert!(found.warnings[0].contains("the lens zooms"), "{:?}", found.warnings);
+    assert!(
+        found.warnings[0].contains("the lens zooms"),
+        "{:?}",
+        found.warnings
+    );
     let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
-    assert!((lens(29) / lens(0) / 1.8 - 1.0).abs() < 0.01, "{} {}", lens(0), lens(29));
+    assert!(
+        (lens(29) / lens(0) / 1.8 - 1.0).abs() < 0.01,
+        "{} {}",
+        lens(0),
+        lens(29)
+    );
     // Tracks are where they were seen.
     let (seen, raw) = (found.tracks[7].observations[3], tracks[7].seen[3]);
     for (k, middle) in [320.0, 240.0].into_iter().enumerate() {
-        assert!((f64::from(seen[k]) + 0.5 - middle - raw[k]).abs() < 1e-3, "{seen:?} {raw:?}");
+        assert!(
+            (f64::from(seen[k]) + 0.5 - middle - raw[k]).abs() < 1e-3,
+            "{seen:?} {raw:?}"
+        );
     }
     assert!(misjudged(&found, &moving) * 10 < moving.len());
     // A given field of view is that of the first frame.
-    let told = SparseConfig { focal_px: Some(520.0), ..SparseConfig::default() };
+    let told = SparseConfig {
+        focal_px: Some(520.0),
+        ..SparseConfig::default()
+    };
     let found = solve(tracks, scene.frames, &told).unwrap();
     let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
-    assert!((lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01, "{} {}", lens(0), lens(29));
+    assert!(
+        (lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01,
+        "{} {}",
+        lens(0),
+        lens(29)
+    );
 }
 
 #[test]
 fn a_camera_on_a_tripod_gives_one_pose() {
-    let scene = Scene { step: 0.0, turn: 0.0, ..ROOM };
+    let scene = Scene {
+        step: 0.0,
+        turn: 0.0,
+        ..ROOM
+    };
     let (found, moving) = solved(&scene);
     assert_eq!(found.camera_motion, CameraMotion::Static);
     assert!(found.cameras.iter().all(|c| c.c2w == Se3::identity()));
-    assert!(found.warnings[0].contains(FIELD_OF_VIEW), "{:?}", found.warnings);
+    assert!(
+        found.warnings[0].contains(FIELD_OF_VIEW),
+        "{:?}",
+        found.warnings
+    );
     let dynamic = [true, false].map(|moves| judged(&found, &moving, Motion::Dynamic, moves));
     assert!(dynamic[0] > 60 && dynamic[1] == 0, "{dynamic:?}");
 }
@@ -272,7 +399,13 @@ fn noise_is_refused_with_numbers() {
     let error = solve(tracks, 20, &SparseConfig::default()).unwrap_err();
     assert!(matches!(error, SparseError::NoAgreement(_)), "{error}");
     let error = error.to_string();
-    assert!(!error.contains("of 0 ") && ["no two frames", "tracks fit"].iter().any(|s| error.contains(s)), "{error}");
+    assert!(
+        !error.contains("of 0 ")
+            && ["no two frames", "tracks fit"]
+                .iter()
+                .any(|s| error.contains(s)),
+        "{error}"
+    );
 }
 
 #[test]
@@ -282,8 +415,13 @@ fn a_cut_is_reported_where_it_is() {
         t.seen.truncate(14_usize.saturating_sub(t.first));
     }
     tracks.retain(|t| t.seen.len() >= 2);
-    let error = solve(tracks, ROOM.frames, &SparseConfig::default()).unwrap_err().to_string();
-    assert!(error.contains("only 0 points could be tracked from frame 13"), "{error}");
+    let error = solve(tracks, ROOM.frames, &SparseConfig::default())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("only 0 points could be tracked from frame 13"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -299,11 +437,16 @@ fn the_number_of_threads_changes_nothing() {
 /// Points and motion of the room's tracks, for cameras that are given.
 fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
     let features = features(ROOM.tracks().0, ROOM.frames);
-    features.with_cameras(cameras, None, &SparseConfig::default(), &Silent).map(|r| r.sparse)
+    features
+        .with_cameras(cameras, None, &SparseConfig::default(), &Silent)
+        .map(|r| r.sparse)
 }
 
 fn room_cameras(focal: f64) -> Vec<Camera> {
-    let camera = |i| Camera { intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal), c2w: ROOM.pose(i).inverse() };
+    let camera = |i| Camera {
+        intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal),
+        c2w: ROOM.pose(i).inverse(),
+    };
     (0..ROOM.frames).map(camera).collect()
 }
 
@@ -318,7 +461,12 @@ fn given_cameras_are_used_and_points_are_in_their_unit() {
     let depth = |t: &Track| Some(cameras[t.first_frame].project(&t.point?).1);
     let depths: Vec<f64> = found.tracks.iter().filter_map(depth).collect();
     let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
-    assert!(depths.len() > 150 && inside * 20 > depths.len() * 19, "{} of {}", inside, depths.len());
+    assert!(
+        depths.len() > 150 && inside * 20 > depths.len() * 19,
+        "{} of {}",
+        inside,
+        depths.len()
+    );
 }
 
 #[test]
@@ -326,10 +474,13 @@ fn given_cameras_that_contradict_the_images_are_rejected() {
     let right = room_cameras(ROOM.focal);
     let mut turned = right.clone();
     for (i, camera) in turned.iter_mut().enumerate() {
-        camera.c2w.rotation = exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
+        camera.c2w.rotation =
+            exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
     }
     // The last two thirds of the way are walked backwards.
-    let backwards: Vec<Camera> = (0..ROOM.frames).map(|i| right[if i < 10 { i } else { 39 - i }]).collect();
+    let backwards: Vec<Camera> = (0..ROOM.frames)
+        .map(|i| right[if i < 10 { i } else { 39 - i }])
+        .collect();
     let mut broken = right.clone();
     broken[3].c2w.translation.x = f64::NAN;
     for (wrong, words) in [
@@ -355,7 +506,12 @@ fn tracks_in_given_masks_are_dynamic_and_excluded() {
     assert_eq!(found.tracks.len(), count);
     let inside = |t: &&Track| t.observations.iter().all(|p| p[0] < 150.0);
     let masked: Vec<&Track> = found.tracks.iter().filter(inside).collect();
-    assert!(masked.len() > 20 && masked.iter().all(|t| t.motion == Motion::Dynamic && t.point.is_none()));
+    assert!(
+        masked.len() > 20
+            && masked
+                .iter()
+                .all(|t| t.motion == Motion::Dynamic && t.point.is_none())
+    );
     let (trajectory, turn) = errors(&found, &ROOM);
     assert!(trajectory < 0.01 && turn < 0.01, "{trajectory} {turn}");
 }
@@ -369,7 +525,10 @@ fn off_centre_principal_point_gives_the_same_cameras() {
         at[0] = at[0] / ROOM.focal * fx + cx - WIDTH as f64 / 2.0;
         at[1] = at[1] / ROOM.focal * fy + cy - HEIGHT as f64 / 2.0;
     }
-    let config = SparseConfig { intrinsics: Some([fx, fy, cx, cy]), ..SparseConfig::default() };
+    let config = SparseConfig {
+        intrinsics: Some([fx, fy, cx, cy]),
+        ..SparseConfig::default()
+    };
     let found = solve(tracks, ROOM.frames, &config).expect("a reconstruction");
     let k = found.cameras[0].intrinsics;
     assert_eq!([k.fx, k.fy, k.cx, k.cy], [fx, fy, cx, cy]);

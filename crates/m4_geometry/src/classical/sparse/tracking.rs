@@ -1,4 +1,5 @@
-//! Points followed through the whole clip, from the strongest Shi-Tomasi corner of every empty cell.
+//! Points followed through the whole clip, from the strongest Shi-Tomasi corner of every empty
+//! cell.
 
 use super::anchor::{Anchor, Warp};
 use super::klt::{RADIUS, follow, inside};
@@ -9,7 +10,8 @@ use m4_core::{Plane, Progress, RgbImage};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// A point followed to the next frame and back must return this close, working pixels. 0.7: docs/spec/front-end.md 7.1.
+/// A point followed to the next frame and back must return this close, working pixels. 0.7:
+/// docs/spec/front-end.md 7.1.
 const MAX_ROUND_TRIP_PX: f32 = 0.7;
 /// Least normalised cross-correlation of a patch with itself one frame later.
 const MIN_CORRELATION: f32 = 0.7;
@@ -41,7 +43,8 @@ impl RawTrack {
 struct Live {
     first: usize,
     seen: Vec<[f32; 2]>,
-    /// First appearance, or a later one where that no longer looks alike; positions are aligned to it so that errors do not add up.
+    /// First appearance, or a later one where that no longer looks alike; positions are aligned to
+    /// it so that errors do not add up.
     anchor: Anchor,
     /// From the anchor to the last frame.
     linear: Matrix2<f32>,
@@ -56,15 +59,24 @@ pub(crate) fn track(
     let mut done: Vec<RawTrack> = Vec::new();
     let mut live: Vec<Live> = Vec::new();
     let mut previous: Option<Pyramid> = None;
-    let finish = |t: Live| RawTrack { first: t.first, seen: t.seen.iter().map(|&p| size.centred(p)).collect() };
+    let finish = |t: Live| RawTrack {
+        first: t.first,
+        seen: t.seen.iter().map(|&p| size.centred(p)).collect(),
+    };
     // Pyramids of a few frames are made side by side; tracking itself goes frame by frame.
     for (batch_index, batch) in frames.chunks(BATCH).enumerate() {
-        let pyramids: Vec<Pyramid> = batch.par_iter().map(|frame| Pyramid::new(luma(frame, size))).collect();
+        let pyramids: Vec<Pyramid> = batch
+            .par_iter()
+            .map(|frame| Pyramid::new(luma(frame, size)))
+            .collect();
         for (i, current) in pyramids.into_iter().enumerate() {
             let frame = batch_index * BATCH + i;
             stopped(progress)?;
             if let Some(previous) = &previous {
-                let moved: Vec<Option<Step>> = live.par_iter().map(|t| step(t, previous, &current)).collect();
+                let moved: Vec<Option<Step>> = live
+                    .par_iter()
+                    .map(|t| step(t, previous, &current))
+                    .collect();
                 let mut kept = Vec::with_capacity(live.len());
                 for (mut t, moved) in live.into_iter().zip(moved) {
                     let Some(Step { at, linear, anchor }) = moved else {
@@ -79,15 +91,26 @@ pub(crate) fn track(
                 live = without_collisions(kept, &mut done, finish);
             }
             if frame + 1 < frames.len() {
-                let occupied: Vec<[f32; 2]> = live.iter().filter_map(|t| t.seen.last().copied()).collect();
+                let occupied: Vec<[f32; 2]> =
+                    live.iter().filter_map(|t| t.seen.last().copied()).collect();
                 let found = fill_empty_cells(&current.levels[0], &occupied);
                 live.extend(found.into_iter().filter_map(|p| {
                     let anchor = Anchor::new(&current.fine, p)?;
-                    Some(Live { first: frame, seen: vec![p], anchor, linear: Matrix2::identity() })
+                    Some(Live {
+                        first: frame,
+                        seen: vec![p],
+                        anchor,
+                        linear: Matrix2::identity(),
+                    })
                 }));
             }
             previous = Some(current);
-            progress.update("tracking", frame + 1, frames.len(), &format!("{} points", live.len()));
+            progress.update(
+                "tracking",
+                frame + 1,
+                frames.len(),
+                &format!("{} points", live.len()),
+            );
         }
     }
     done.extend(live.into_iter().map(finish));
@@ -95,7 +118,9 @@ pub(crate) fn track(
     // Tracks end in an order that says nothing; their beginnings are a better one.
     done.sort_by(|a, b| {
         let key = |t: &RawTrack| (t.first, t.seen[0][1], t.seen[0][0]);
-        key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal)
+        key(a)
+            .partial_cmp(&key(b))
+            .unwrap_or(std::cmp::Ordering::Equal)
     });
     Ok(done)
 }
@@ -119,19 +144,37 @@ fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<Step> {
         return None;
     }
     let plane = &to.levels[0];
-    let (held, likeness) = t.anchor.align(&to.fine, Warp { linear: t.linear, at: q });
+    let (held, likeness) = t.anchor.align(
+        &to.fine,
+        Warp {
+            linear: t.linear,
+            at: q,
+        },
+    );
     let drift = (held.at[0] - q[0]).hypot(held.at[1] - q[1]);
     if likeness >= ANCHOR_CORRELATION && drift <= MAX_DRIFT_PX {
-        return inside(plane, held.at).then_some(Step { at: held.at, linear: held.linear, anchor: None });
+        return inside(plane, held.at).then_some(Step {
+            at: held.at,
+            linear: held.linear,
+            anchor: None,
+        });
     }
     let (back, _) = follow(to, from, q)?;
     let returns = (back[0] - p[0]).hypot(back[1] - p[1]) <= MAX_ROUND_TRIP_PX;
     let anchor = Some(Anchor::new(&to.fine, q)?);
-    (returns && inside(plane, q)).then_some(Step { at: q, linear: Matrix2::identity(), anchor })
+    (returns && inside(plane, q)).then_some(Step {
+        at: q,
+        linear: Matrix2::identity(),
+        anchor,
+    })
 }
 
 /// Where two tracks have run together the younger one ends.
-fn without_collisions(tracks: Vec<Live>, done: &mut Vec<RawTrack>, finish: impl Fn(Live) -> RawTrack) -> Vec<Live> {
+fn without_collisions(
+    tracks: Vec<Live>,
+    done: &mut Vec<RawTrack>,
+    finish: impl Fn(Live) -> RawTrack,
+) -> Vec<Live> {
     let reach = 0.5 * MIN_DISTANCE_PX;
     // Oldest first: new tracks are appended.
     let mut buckets: BTreeMap<(i32, i32), Vec<[f32; 2]>> = BTreeMap::new();
@@ -141,9 +184,10 @@ fn without_collisions(tracks: Vec<Live>, done: &mut Vec<RawTrack>, finish: impl 
         let key = ((p[0] / reach) as i32, (p[1] / reach) as i32);
         let taken = (-1..=1).any(|dy| {
             (-1..=1).any(|dx| {
-                buckets
-                    .get(&(key.0 + dx, key.1 + dy))
-                    .is_some_and(|near| near.iter().any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < reach))
+                buckets.get(&(key.0 + dx, key.1 + dy)).is_some_and(|near| {
+                    near.iter()
+                        .any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < reach)
+                })
             })
         });
         if taken {
@@ -157,12 +201,13 @@ fn without_collisions(tracks: Vec<Live>, done: &mut Vec<RawTrack>, finish: impl 
     kept
 }
 
-/// Side of the cells that hold at least one track each, where there is texture, working pixels. 16 gives about 700 tracks on 480x360.
+/// Side of the cells that hold at least one track each, where there is texture, working pixels. 16
+/// gives about 700 tracks on 480x360.
 const CELL_PX: usize = 16;
 /// New corners keep this distance from existing tracks, working pixels.
 const MIN_DISTANCE_PX: f32 = 6.0;
-/// Corners weaker than this share of the strongest one are not used. Shi and Tomasi use 0.01 to 0.1; lower because cells already
-/// spread the corners.
+/// Corners weaker than this share of the strongest one are not used. Shi and Tomasi use 0.01 to
+/// 0.1; lower because cells already spread the corners.
 const QUALITY: f32 = 0.001;
 /// Corners with a lesser eigenvalue below this (squared grey levels) are noise.
 const MIN_RESPONSE: f32 = 2.0;
@@ -183,7 +228,9 @@ fn response(luma: &Plane<f32>) -> Plane<f32> {
         let dy = 0.5 * (luma[(x, y + 1)] - luma[(x, y - 1)]);
         [dx * dx, dx * dy, dy * dy]
     };
-    let products: Vec<Vec<[f32; 3]>> = (1..h - 1).map(|y| (1..w - 1).map(|x| gradient(x, y)).collect()).collect();
+    let products: Vec<Vec<[f32; 3]>> = (1..h - 1)
+        .map(|y| (1..w - 1).map(|x| gradient(x, y)).collect())
+        .collect();
     let mut columns = vec![[0.0_f32; 3]; w - 2];
     for y in border..h - border {
         for (x, sum) in columns.iter_mut().enumerate() {
@@ -228,8 +275,14 @@ fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
     let threshold = (QUALITY * strongest).max(MIN_RESPONSE);
     let near = |cells: &[Vec<[f32; 2]>], p: [f32; 2], cx: usize, cy: usize| {
         (cy.saturating_sub(1)..(cy + 2).min(rows))
-            .flat_map(|y| (cx.saturating_sub(1)..(cx + 2).min(columns)).map(move |x| y * columns + x))
-            .any(|c| cells[c].iter().any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < MIN_DISTANCE_PX))
+            .flat_map(|y| {
+                (cx.saturating_sub(1)..(cx + 2).min(columns)).map(move |x| y * columns + x)
+            })
+            .any(|c| {
+                cells[c]
+                    .iter()
+                    .any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < MIN_DISTANCE_PX)
+            })
     };
     let mut found = Vec::new();
     for cy in 0..rows {
@@ -238,11 +291,17 @@ fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
                 continue;
             }
             let mut best: Option<(f32, [f32; 2])> = None;
-            for y in (cy * CELL_PX).max(MARGIN)..((cy + 1) * CELL_PX).min(h.saturating_sub(MARGIN)) {
-                for x in (cx * CELL_PX).max(MARGIN)..((cx + 1) * CELL_PX).min(w.saturating_sub(MARGIN)) {
+            for y in (cy * CELL_PX).max(MARGIN)..((cy + 1) * CELL_PX).min(h.saturating_sub(MARGIN))
+            {
+                for x in
+                    (cx * CELL_PX).max(MARGIN)..((cx + 1) * CELL_PX).min(w.saturating_sub(MARGIN))
+                {
                     let value = response[(x, y)];
                     let p = [x as f32, y as f32];
-                    if value >= threshold && best.is_none_or(|(b, _)| value > b) && !near(&cells, p, cx, cy) {
+                    if value >= threshold
+                        && best.is_none_or(|(b, _)| value > b)
+                        && !near(&cells, p, cx, cy)
+                    {
                         best = Some((value, p));
                     }
                 }
@@ -263,7 +322,13 @@ mod tests {
     use m4_core::{Plane, Silent};
 
     fn squares() -> Plane<f32> {
-        Plane::from_fn(96, 96, |x, y| if (x / 24 + y / 24) % 2 == 0 { 30.0 } else { 200.0 })
+        Plane::from_fn(96, 96, |x, y| {
+            if (x / 24 + y / 24) % 2 == 0 {
+                30.0
+            } else {
+                200.0
+            }
+        })
     }
 
     #[test]
@@ -282,7 +347,8 @@ mod tests {
         assert!(fill_empty_cells(&flat, &[]).is_empty());
     }
 
-    /// A wall that the camera approaches and turns at: scale and rotation change by a third, a patch is soon unlike its first appearance.
+    /// A wall that the camera approaches and turns at: scale and rotation change by a third, a
+    /// patch is soon unlike its first appearance.
     #[test]
     fn positions_do_not_drift_while_the_view_changes() {
         const FRAMES: usize = 30;
@@ -293,7 +359,10 @@ mod tests {
         };
         let at = |t: usize, u: [f64; 2]| {
             let (scale, s, c) = view(t);
-            [centre[0] + scale * (c * u[0] - s * u[1]), centre[1] + scale * (s * u[0] + c * u[1])]
+            [
+                centre[0] + scale * (c * u[0] - s * u[1]),
+                centre[1] + scale * (s * u[0] + c * u[1]),
+            ]
         };
         let back = |t: usize, p: [f64; 2]| {
             let (scale, s, c) = view(t);
@@ -308,10 +377,18 @@ mod tests {
                 + 20.0 * wave(0.6, 0.5, 2.0)
         };
         let frames: Vec<_> = (0..FRAMES)
-            .map(|t| Plane::from_fn(160, 120, |x, y| [value(back(t, [x as f64, y as f64])) as u8; 3]))
+            .map(|t| {
+                Plane::from_fn(160, 120, |x, y| {
+                    [value(back(t, [x as f64, y as f64])) as u8; 3]
+                })
+            })
             .collect();
-        let tracks =
-            track(&frames.iter().collect::<Vec<_>>(), WorkingSize::new(160, 120, 640), &Silent).expect("tracks");
+        let tracks = track(
+            &frames.iter().collect::<Vec<_>>(),
+            WorkingSize::new(160, 120, 640),
+            &Silent,
+        )
+        .expect("tracks");
         let mut off: Vec<f64> = Vec::new();
         for t in tracks.iter().filter(|t| t.first == 0 && t.end() == FRAMES) {
             // Working pixels from the image centre.
@@ -322,6 +399,10 @@ mod tests {
         }
         off.sort_by(f64::total_cmp);
         assert!(off.len() >= 20, "{} tracks last", off.len());
-        assert!(off[off.len() / 2] < 0.05, "median {} px", off[off.len() / 2]);
+        assert!(
+            off[off.len() / 2] < 0.05,
+            "median {} px",
+            off[off.len() / 2]
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! Points from rays, and the pose of a frame from points whose positions are known, starting nearby.
+//! Points from rays, and the pose of a frame from points whose positions are known, starting
+//! nearby.
 
 use super::INLIER_PX;
 use super::bundle::{Jacobian, project};
@@ -42,7 +43,10 @@ pub(crate) fn triangulate(views: &[View], focal: f64, cauchy_px: f64) -> Option<
             break;
         }
     }
-    let errors: Option<Vec<f64>> = views.iter().map(|(pose, at)| error_px(pose, &point, focal, *at)).collect();
+    let errors: Option<Vec<f64>> = views
+        .iter()
+        .map(|(pose, at)| error_px(pose, &point, focal, *at))
+        .collect();
     let median_px = median(&mut errors?)?;
     point.iter().all(|v| v.is_finite()).then(|| Triangulated {
         point,
@@ -55,7 +59,10 @@ pub(crate) fn triangulate(views: &[View], focal: f64, cauchy_px: f64) -> Option<
 fn nearest_to_rays(views: &[View], focal: f64) -> Option<Vector3<f64>> {
     let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
     for (pose, at) in views {
-        let direction = pose.rotation.tr_mul(&Vector3::new(at[0] / focal, at[1] / focal, 1.0)).normalize();
+        let direction = pose
+            .rotation
+            .tr_mul(&Vector3::new(at[0] / focal, at[1] / focal, 1.0))
+            .normalize();
         let across = Matrix3::identity() - direction * direction.transpose();
         let centre = -pose.rotation.tr_mul(&pose.translation);
         a += across;
@@ -86,10 +93,11 @@ fn widest_angle(views: &[View], point: &Vector3<f64>) -> f64 {
 /// A sighting of a known point: position and pixels from the image centre.
 pub(crate) type Sighting = (Vector3<f64>, [f64; 2]);
 
-/// The pose (world to camera) that agrees with most sightings, and how many are within [`INLIER_PX`].
+/// The pose (world to camera) that agrees with most sightings, and how many are within
+/// [`INLIER_PX`].
 ///
-/// Graduated non-convexity: the Cauchy scale shrinks from 16 [`INLIER_PX`] to half of it, with Levenberg-Marquardt
-/// steps on each.
+/// Graduated non-convexity: the Cauchy scale shrinks from 16 [`INLIER_PX`] to half of it, with
+/// Levenberg-Marquardt steps on each.
 ///
 /// Video gives a good start (the pose of a neighbouring frame), which is why no minimal solver is
 /// needed; the wide first scale tolerates that most points are off by tens of pixels.
@@ -98,8 +106,10 @@ pub(crate) fn resect(sightings: &[Sighting], focal: f64, start: &Se3<f64>) -> (S
     for scale in [16.0, 6.0, 2.0, 0.5] {
         pose = descend(sightings, focal, &pose, scale * INLIER_PX);
     }
-    let inliers =
-        sightings.iter().filter(|(x, at)| error_px(&pose, x, focal, *at).is_some_and(|e| e < INLIER_PX)).count();
+    let inliers = sightings
+        .iter()
+        .filter(|(x, at)| error_px(&pose, x, focal, *at).is_some_and(|e| e < INLIER_PX))
+        .count();
     (pose, inliers)
 }
 
@@ -109,10 +119,18 @@ pub(crate) fn error_px(w2c: &Se3<f64>, x: &Vector3<f64>, focal: f64, at: [f64; 2
 }
 
 /// Levenberg-Marquardt steps under Cauchy's loss.
-pub(crate) fn descend(sightings: &[Sighting], focal: f64, start: &Se3<f64>, cauchy_px: f64) -> Se3<f64> {
+pub(crate) fn descend(
+    sightings: &[Sighting],
+    focal: f64,
+    start: &Se3<f64>,
+    cauchy_px: f64,
+) -> Se3<f64> {
     let cost = |pose: &Se3<f64>| -> f64 {
         let loss = |e: Option<f64>| (e.unwrap_or(100.0) / cauchy_px).powi(2).ln_1p();
-        sightings.iter().map(|(x, at)| loss(error_px(pose, x, focal, *at))).sum()
+        sightings
+            .iter()
+            .map(|(x, at)| loss(error_px(pose, x, focal, *at)))
+            .sum()
     };
     let (mut pose, mut best, mut damping) = (*start, cost(start), 1e-3);
     for _ in 0..10 {
@@ -152,7 +170,10 @@ mod tests {
     use m4_core::{CounterRng, Se3, exp_so3, log_so3};
 
     fn camera(x: f64) -> Se3<f64> {
-        Se3 { rotation: Matrix3::identity(), translation: Vector3::new(-x, 0.0, 0.0) }
+        Se3 {
+            rotation: Matrix3::identity(),
+            translation: Vector3::new(-x, 0.0, 0.0),
+        }
     }
 
     #[test]
@@ -167,7 +188,11 @@ mod tests {
             .to_vec();
         let got = triangulate(&views, 400.0, 1.0).expect("a point");
         assert!((got.point - p).norm() < 1e-9 && got.median_px < 1e-9);
-        assert!((got.angle_rad - 0.5 / 4.0).abs() < 0.01, "{}", got.angle_rad);
+        assert!(
+            (got.angle_rad - 0.5 / 4.0).abs() < 0.01,
+            "{}",
+            got.angle_rad
+        );
     }
 
     #[test]
@@ -182,14 +207,23 @@ mod tests {
     #[test]
     fn a_pose_is_found_among_a_third_of_wrong_sightings() {
         let focal = 400.0;
-        let truth = Se3 { rotation: exp_so3(&Vector3::new(0.1, 0.3, -0.1)), translation: Vector3::new(0.2, 0.0, 5.0) };
+        let truth = Se3 {
+            rotation: exp_so3(&Vector3::new(0.1, 0.3, -0.1)),
+            translation: Vector3::new(0.2, 0.0, 5.0),
+        };
         let mut rng = CounterRng::new(4, 0, 0);
         let sightings: Vec<_> = (0..120)
             .map(|i| {
                 let x = Vector3::from_fn(|_, _| rng.normal());
                 let p = truth.transform(&x);
                 let off = if i % 3 == 0 { 40.0 } else { 0.3 };
-                (x, [focal * p.x / p.z + off * rng.normal(), focal * p.y / p.z + off * rng.normal()])
+                (
+                    x,
+                    [
+                        focal * p.x / p.z + off * rng.normal(),
+                        focal * p.y / p.z + off * rng.normal(),
+                    ],
+                )
             })
             .collect();
         let start = truth.retract(&Vector6::new(0.1, -0.1, 0.2, 0.04, -0.05, 0.03));

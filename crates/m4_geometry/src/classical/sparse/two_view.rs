@@ -23,14 +23,15 @@ const SAMPLES: usize = 150;
 
 /// The essential matrix that most matches agree with (MSAC), for a focal length in working pixels.
 ///
-/// Returns `None` for fewer than 8 matches, or when no sample gives a motion with points in front of
-/// both cameras.
+/// Returns `None` for fewer than 8 matches, or when no sample gives a motion with points in front
+/// of both cameras.
 pub(crate) fn relate(matches: &[Match], focal: f64, seed: u64, purpose: u64) -> Option<TwoView> {
     if matches.len() < 8 {
         return None;
     }
     let ray = |p: [f64; 2]| Vector3::new(p[0] / focal, p[1] / focal, 1.0);
-    let rays: Vec<(Vector3<f64>, Vector3<f64>)> = matches.iter().map(|m| (ray(m.0), ray(m.1))).collect();
+    let rays: Vec<(Vector3<f64>, Vector3<f64>)> =
+        matches.iter().map(|m| (ray(m.0), ray(m.1))).collect();
     let limit = (INLIER_PX / focal).powi(2);
     let mut best: Option<(f64, Matrix3<f64>)> = None;
     for sample in 0..SAMPLES {
@@ -45,9 +46,15 @@ pub(crate) fn relate(matches: &[Match], focal: f64, seed: u64, purpose: u64) -> 
         }
     }
     let (score, e) = best?;
-    let inliers: Vec<usize> = (0..rays.len()).filter(|&i| sampson(&e, &rays[i]) < limit).collect();
+    let inliers: Vec<usize> = (0..rays.len())
+        .filter(|&i| sampson(&e, &rays[i]) < limit)
+        .collect();
     let motion = decompose(&e, inliers.iter().map(|&i| &rays[i]))?;
-    Some(TwoView { motion, inliers, score: score / rays.len() as f64 })
+    Some(TwoView {
+        motion,
+        inliers,
+        score: score / rays.len() as f64,
+    })
 }
 
 /// Five different numbers below `n`, `n >= 5`.
@@ -102,14 +109,18 @@ fn decompose<'a>(
     let mut best: Option<(usize, Se3<f64>)> = None;
     for rotation in [u * w * v_t, u * w.transpose() * v_t] {
         for translation in [t, -t] {
-            let motion = Se3 { rotation, translation };
+            let motion = Se3 {
+                rotation,
+                translation,
+            };
             let front = rays.clone().filter(|pair| in_front(&motion, pair)).count();
             if best.as_ref().is_none_or(|(n, _)| front > *n) {
                 best = Some((front, motion));
             }
         }
     }
-    best.filter(|(front, _)| *front > 0).map(|(_, motion)| motion)
+    best.filter(|(front, _)| *front > 0)
+        .map(|(_, motion)| motion)
 }
 
 /// True when the rays meet in front of both cameras.
@@ -124,9 +135,11 @@ fn in_front(motion: &Se3<f64>, (a, b): &(Vector3<f64>, Vector3<f64>)) -> bool {
     depth_a > 0.0 && depth_b > 0.0
 }
 
-/// Exponents of `x, y, z` of the twenty monomials as decimal digits (a product is a sum): ten of degree 3, then the basis of
-/// the quotient.
-const MONOMIALS: [u16; 20] = [300, 210, 120, 30, 201, 111, 21, 102, 12, 3, 200, 110, 20, 101, 11, 2, 100, 10, 1, 0];
+/// Exponents of `x, y, z` of the twenty monomials as decimal digits (a product is a sum): ten of
+/// degree 3, then the basis of the quotient.
+const MONOMIALS: [u16; 20] = [
+    300, 210, 120, 30, 201, 111, 21, 102, 12, 3, 200, 110, 20, 101, 11, 2, 100, 10, 1, 0,
+];
 
 /// Where the product of two monomials lies; 20 where its degree exceeds 3.
 const PRODUCT: [[usize; 20]; 20] = product_table();
@@ -164,12 +177,12 @@ fn add_product(sum: &mut Cubic, factor: f64, a: &Cubic, from_a: usize, b: &Cubic
     }
 }
 
-/// The essential matrices `E` with `second^T E first = 0` for five pairs of rays `(x, y, 1)`; at most
-/// ten. Empty for degenerate samples.
+/// The essential matrices `E` with `second^T E first = 0` for five pairs of rays `(x, y, 1)`; at
+/// most ten. Empty for degenerate samples.
 ///
-/// Nistér's problem (2004) in the form of Stewénius, Engels and Nistér (2006): the four-dimensional null space of the
-/// epipolar equations, ten cubic constraints on it, and the eigenvectors of the matrix of "multiplication by x" in the
-/// quotient ring.
+/// Nistér's problem (2004) in the form of Stewénius, Engels and Nistér (2006): the four-dimensional
+/// null space of the epipolar equations, ten cubic constraints on it, and the eigenvectors of the
+/// matrix of "multiplication by x" in the quotient ring.
 fn essential_matrices(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> Vec<Matrix3<f64>> {
     let mut equations = SMatrix::<f64, 9, 9>::zeros();
     for k in 0..5 {
@@ -183,9 +196,12 @@ fn essential_matrices(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> 
         return Vec::new();
     };
     // E = x E0 + y E1 + z E2 + E3
-    let basis: [Matrix3<f64>; 4] = std::array::from_fn(|b| Matrix3::from_fn(|i, j| v_t[(5 + b, 3 * i + j)]));
+    let basis: [Matrix3<f64>; 4] =
+        std::array::from_fn(|b| Matrix3::from_fn(|i, j| v_t[(5 + b, 3 * i + j)]));
     let action = action_matrix(&basis);
-    let Some((action, schur)) = action.and_then(|action| Some((action, Schur::try_new(action, 1e-12, 300)?))) else {
+    let Some((action, schur)) =
+        action.and_then(|action| Some((action, Schur::try_new(action, 1e-12, 300)?)))
+    else {
         return Vec::new();
     };
     let mut found = Vec::new();
@@ -194,7 +210,8 @@ fn essential_matrices(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> 
             continue;
         }
         // One step of inverse iteration, slightly off the eigenvalue, gives the eigenvector.
-        let shifted = action - SMatrix::<f64, 10, 10>::identity() * (value.re + 1e-9 * (1.0 + value.re.abs()));
+        let shifted = action
+            - SMatrix::<f64, 10, 10>::identity() * (value.re + 1e-9 * (1.0 + value.re.abs()));
         let Some(v) = shifted.lu().solve(&SMatrix::<f64, 10, 1>::repeat(1.0)) else {
             continue;
         };
@@ -225,7 +242,8 @@ fn action_matrix(basis: &[Matrix3<f64>; 4]) -> Option<SMatrix<f64, 10, 10>> {
             }
         }
     }
-    let trace: Cubic = std::array::from_fn(|m| squared[0][0][m] + squared[1][1][m] + squared[2][2][m]);
+    let trace: Cubic =
+        std::array::from_fn(|m| squared[0][0][m] + squared[1][1][m] + squared[2][2][m]);
     let mut rows: [Cubic; 10] = [[0.0; 20]; 10];
     // 2 E E^T E - trace(E E^T) E = 0
     for i in 0..3 {
@@ -261,7 +279,8 @@ fn action_matrix(basis: &[Matrix3<f64>; 4]) -> Option<SMatrix<f64, 10, 10>> {
 /// Gauss-Jordan with row pivoting on the first ten columns.
 fn eliminate(rows: &mut [Cubic; 10]) -> Option<()> {
     for column in 0..10 {
-        let pivot = (column..10).max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs()))?;
+        let pivot = (column..10)
+            .max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs()))?;
         rows.swap(column, pivot);
         let scale = rows[column][column];
         if scale.abs() < 1e-14 {
@@ -294,26 +313,44 @@ mod tests {
     #[test]
     fn motion_is_found_among_moving_points() {
         let focal = 400.0;
-        let truth =
-            Se3 { rotation: exp_so3(&Vector3::new(0.03, -0.08, 0.02)), translation: Vector3::new(0.5, 0.1, -0.1) };
+        let truth = Se3 {
+            rotation: exp_so3(&Vector3::new(0.03, -0.08, 0.02)),
+            translation: Vector3::new(0.5, 0.1, -0.1),
+        };
         let mut rng = CounterRng::new(1, 0, 0);
         let project = |p: Vector3<f64>| [focal * p.x / p.z, focal * p.y / p.z];
         let matches: Vec<_> = (0..300)
             .map(|i| {
-                let p = Vector3::new(2.0 * rng.normal(), 1.5 * rng.normal(), 4.0 + 4.0 * rng.uniform());
+                let p = Vector3::new(
+                    2.0 * rng.normal(),
+                    1.5 * rng.normal(),
+                    4.0 + 4.0 * rng.uniform(),
+                );
                 let mut q = truth.transform(&p);
                 if i % 4 == 0 {
                     q += Vector3::new(0.3 * rng.normal(), 0.3 * rng.normal(), 0.3 * rng.normal());
                 }
                 let b = project(q);
-                (project(p), [b[0] + 0.3 * rng.normal(), b[1] + 0.3 * rng.normal()])
+                (
+                    project(p),
+                    [b[0] + 0.3 * rng.normal(), b[1] + 0.3 * rng.normal()],
+                )
             })
             .collect();
         let found = relate(&matches, focal, 0, 0).expect("a motion");
         let turn = log_so3(&(found.motion.rotation * truth.rotation.transpose())).norm();
-        let angle = found.motion.translation.dot(&truth.translation.normalize()).acos();
+        let angle = found
+            .motion
+            .translation
+            .dot(&truth.translation.normalize())
+            .acos();
         assert!(turn < 0.01 && angle < 0.05, "{turn} {angle}");
-        assert!(found.inliers.len() > 220 && found.score > 0.6, "{} {}", found.inliers.len(), found.score);
+        assert!(
+            found.inliers.len() > 220 && found.score > 0.6,
+            "{} {}",
+            found.inliers.len(),
+            found.score
+        );
         assert!(relate(&matches[..7], focal, 0, 0).is_none());
     }
 
@@ -325,7 +362,8 @@ mod tests {
             let mut random = |s: f64| Vector3::from_fn(|_, _| s * rng.normal());
             let (rotation, translation) = (exp_so3(&random(0.2)), random(1.0).normalize());
             let truth = (hat(&translation) * rotation).normalize();
-            let points: [Vector3<f64>; 5] = std::array::from_fn(|_| random(1.0) + Vector3::new(0.0, 0.0, 6.0));
+            let points: [Vector3<f64>; 5] =
+                std::array::from_fn(|_| random(1.0) + Vector3::new(0.0, 0.0, 6.0));
             let first = points.map(|p| p / p.z);
             let second = points.map(|p| rotation * p + translation).map(|p| p / p.z);
             let found = essential_matrices(&first, &second);
@@ -338,7 +376,10 @@ mod tests {
                 }
             }
         }
-        assert!(missed <= 1, "{missed} of 50 samples without the true matrix");
+        assert!(
+            missed <= 1,
+            "{missed} of 50 samples without the true matrix"
+        );
     }
 
     #[test]

@@ -1,8 +1,9 @@
-//! Estimates a zoom of a static or turning camera: a rotation and a focal length per frame, no points.
+//! Estimates a zoom of a static or turning camera: a rotation and a focal length per frame, no
+//! points.
 //!
-//! Frames are then related by infinite homographies `K_t R_t K_0^-1` (Hartley and Zisserman 2004, section 8.4), whatever the
-//! scene. Something flat towards which the camera walks looks the same, a scene with depth does not: what is near grows
-//! faster.
+//! Frames are then related by infinite homographies `K_t R_t K_0^-1` (Hartley and Zisserman 2004,
+//! section 8.4), whatever the scene. Something flat towards which the camera walks looks the same,
+//! a scene with depth does not: what is near grows faster.
 
 use super::bundle::Jacobian;
 use super::rotation::{MIN_TRACKS, matches, ray, spread};
@@ -27,7 +28,8 @@ pub(crate) struct Aim {
 pub(crate) struct Zooming {
     /// One per frame; the world is the camera of frame 0.
     pub aims: Vec<Aim>,
-    /// False where the turn says so little about the focal length of frame 0 that the assumed one was kept.
+    /// False where the turn says so little about the focal length of frame 0 that the assumed one
+    /// was kept.
     pub focal_observed: bool,
 }
 
@@ -43,7 +45,8 @@ const ROUNDS: usize = 10;
 /// Error of another focal length against that of the assumed one from which on it is believed.
 const BETTER: f64 = 0.8;
 
-/// How a lens zooms, if turns and zooms alone explain the tracks; `focals` are candidates for frame 0, working pixels.
+/// How a lens zooms, if turns and zooms alone explain the tracks; `focals` are candidates for frame
+/// 0, working pixels.
 pub(crate) fn zooming(
     tracks: &[RawTrack],
     frames: usize,
@@ -52,7 +55,10 @@ pub(crate) fn zooming(
     cauchy_px: f64,
 ) -> Option<Zooming> {
     // A quick test rejects most clips: a camera that translates leaves parallax somewhere.
-    let few: Vec<Vec<Match>> = spread(frames, GLANCE).windows(2).map(|w| matches(tracks, w[0], w[1])).collect();
+    let few: Vec<Vec<Match>> = spread(frames, GLANCE)
+        .windows(2)
+        .map(|w| matches(tracks, w[0], w[1]))
+        .collect();
     let tried = focals.par_iter().chain(rayon::iter::once(&assumed));
     if !tried.any(|&focal| glance(&few, focal).is_some()) {
         return None;
@@ -62,29 +68,49 @@ pub(crate) fn zooming(
         let aims = aims(tracks, &picked, focal, cauchy_px)?;
         Some((median_error(tracks, &picked, &aims)?, focal))
     };
-    let candidates: Vec<Option<(f64, f64)>> = focals.par_iter().chain(rayon::iter::once(&assumed)).map(fit).collect();
-    let error_assumed = candidates.last().copied().flatten().map_or(f64::INFINITY, |c| c.0);
-    let best = candidates.iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let candidates: Vec<Option<(f64, f64)>> = focals
+        .par_iter()
+        .chain(rayon::iter::once(&assumed))
+        .map(fit)
+        .collect();
+    let error_assumed = candidates
+        .last()
+        .copied()
+        .flatten()
+        .map_or(f64::INFINITY, |c| c.0);
+    let best = candidates
+        .iter()
+        .flatten()
+        .min_by(|a, b| a.0.total_cmp(&b.0))?;
     let observed = best.0 < BETTER * error_assumed;
     let focal = if observed { best.1 } else { assumed };
     let all: Vec<usize> = (0..frames).collect();
     let aims = aims(tracks, &all, focal, cauchy_px)?;
     let (least, most) = range(&aims);
     let good = median_error(tracks, &all, &aims)? < MOST_PX && most / least > LEAST_RATIO;
-    good.then_some(Zooming { aims, focal_observed: observed })
+    good.then_some(Zooming {
+        aims,
+        focal_observed: observed,
+    })
 }
 
 pub(crate) fn range(aims: &[Aim]) -> (f64, f64) {
     let focals = aims.iter().map(|a| a.focal);
-    focals.fold((f64::INFINITY, 0.0), |(low, high), f| (low.min(f), high.max(f)))
+    focals.fold((f64::INFINITY, 0.0), |(low, high), f| {
+        (low.min(f), high.max(f))
+    })
 }
 
-/// Goes over a few frames of the clip; `None` where turns and zooms leave too much, or nothing zooms.
+/// Goes over a few frames of the clip; `None` where turns and zooms leave too much, or nothing
+/// zooms.
 fn glance(pairs: &[Vec<Match>], focal: f64) -> Option<()> {
     let (mut at, mut least, mut most) = (focal, focal, focal);
     for found in pairs.iter().filter(|found| found.len() >= MIN_TRACKS) {
         let next = step(found, at, 1.0)?;
-        let mut errors: Vec<f64> = found.iter().map(|m| error_px(&next, &ray(m.0, at), m.1)).collect();
+        let mut errors: Vec<f64> = found
+            .iter()
+            .map(|m| error_px(&next, &ray(m.0, at), m.1))
+            .collect();
         // Rays through a wrong focal length leave a little more than the true one would.
         if median(&mut errors)? > 2.0 * MOST_PX {
             return None;
@@ -106,29 +132,49 @@ fn step(found: &[Match], focal: f64, cauchy_px: f64) -> Option<Aim> {
         .filter(|(a, b)| distance(a.0, b.0) > 10.0)
         .map(|(a, b)| distance(a.1, b.1) / distance(a.0, b.0))
         .collect();
-    let start =
-        Aim { rotation: Matrix3::identity(), focal: focal * median(&mut growth).filter(|g| *g > 0.0).unwrap_or(1.0) };
+    let start = Aim {
+        rotation: Matrix3::identity(),
+        focal: focal * median(&mut growth).filter(|g| *g > 0.0).unwrap_or(1.0),
+    };
     fit(&sightings, &start, true, &[1e6, 16.0, 4.0, cauchy_px])
 }
 
 fn error_px(aim: &Aim, direction: &Vector3<f64>, at: [f64; 2]) -> f64 {
     let p = aim.rotation * direction;
-    if p.z > 1e-6 { (aim.focal * p.x / p.z - at[0]).hypot(aim.focal * p.y / p.z - at[1]) } else { f64::INFINITY }
+    if p.z > 1e-6 {
+        (aim.focal * p.x / p.z - at[0]).hypot(aim.focal * p.y / p.z - at[1])
+    } else {
+        f64::INFINITY
+    }
 }
 
-/// Gauss-Newton steps under Cauchy losses of shrinking scales, two a scale; `None` for too few sightings.
-fn fit(sightings: &[(Vector3<f64>, [f64; 2])], start: &Aim, free_focal: bool, scales_px: &[f64]) -> Option<Aim> {
+/// Gauss-Newton steps under Cauchy losses of shrinking scales, two a scale; `None` for too few
+/// sightings.
+fn fit(
+    sightings: &[(Vector3<f64>, [f64; 2])],
+    start: &Aim,
+    free_focal: bool,
+    scales_px: &[f64],
+) -> Option<Aim> {
     if sightings.len() < 4 {
         return None;
     }
     let mut aim = *start;
     for &cauchy_px in scales_px.iter().flat_map(|s| [s, s]) {
-        let pose = Se3 { rotation: aim.rotation, translation: Vector3::zeros() };
+        let pose = Se3 {
+            rotation: aim.rotation,
+            translation: Vector3::zeros(),
+        };
         let (mut h, mut g) = (Matrix4::zeros(), Vector4::zeros());
         for (direction, at) in sightings {
             let j = Jacobian::new(&pose, direction, aim.focal, *at, cauchy_px);
             for (row, r) in [0, 1].map(|k| (k, j.residual[k])) {
-                let by = Vector4::new(j.pose[(row, 3)], j.pose[(row, 4)], j.pose[(row, 5)], j.focal[row]);
+                let by = Vector4::new(
+                    j.pose[(row, 3)],
+                    j.pose[(row, 4)],
+                    j.pose[(row, 5)],
+                    j.focal[row],
+                );
                 h += by * by.transpose();
                 g += by * r;
             }
@@ -149,10 +195,13 @@ fn fit(sightings: &[(Vector3<f64>, [f64; 2])], start: &Aim, free_focal: bool, sc
     (aim.focal.is_finite() && aim.rotation.iter().all(|v| v.is_finite())).then_some(aim)
 }
 
-/// Aims chained through `picked` frames, then refined so that every track has one direction in the world. The focal
-/// length of the first frame stays. `None` where two frames share too little.
+/// Aims chained through `picked` frames, then refined so that every track has one direction in the
+/// world. The focal length of the first frame stays. `None` where two frames share too little.
 fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, cauchy_px: f64) -> Option<Vec<Aim>> {
-    let first = Aim { rotation: Matrix3::identity(), focal };
+    let first = Aim {
+        rotation: Matrix3::identity(),
+        focal,
+    };
     let mut aims = vec![first];
     let mut last = first;
     for pair in picked.windows(2) {
@@ -161,16 +210,22 @@ fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, cauchy_px: f64) -> Op
             return None;
         }
         let next = step(&found, last.focal, cauchy_px)?;
-        last = Aim { rotation: next.rotation * last.rotation, focal: next.focal };
+        last = Aim {
+            rotation: next.rotation * last.rotation,
+            focal: next.focal,
+        };
         aims.push(last);
     }
     for _ in 0..ROUNDS {
-        let directions: Vec<Option<Vector3<f64>>> = tracks.iter().map(|t| direction(t, picked, &aims)).collect();
+        let directions: Vec<Option<Vector3<f64>>> =
+            tracks.iter().map(|t| direction(t, picked, &aims)).collect();
         let refined: Option<Vec<Aim>> = (0..picked.len())
             .into_par_iter()
             .map(|k| {
                 let seen = tracks.iter().zip(&directions);
-                let sightings: Vec<_> = seen.filter_map(|(t, d)| Some(((*d)?, t.at(picked[k])?))).collect();
+                let sightings: Vec<_> = seen
+                    .filter_map(|(t, d)| Some(((*d)?, t.at(picked[k])?)))
+                    .collect();
                 fit(&sightings, &aims[k], k > 0, &[cauchy_px])
             })
             .collect();
@@ -203,8 +258,9 @@ fn median_error(tracks: &[RawTrack], picked: &[usize], aims: &[Aim]) -> Option<f
         .filter_map(|track| {
             let direction = direction(track, picked, aims)?;
             let seen = picked.iter().zip(aims);
-            let mut errors: Vec<f64> =
-                seen.filter_map(|(&frame, aim)| Some(error_px(aim, &direction, track.at(frame)?))).collect();
+            let mut errors: Vec<f64> = seen
+                .filter_map(|(&frame, aim)| Some(error_px(aim, &direction, track.at(frame)?)))
+                .collect();
             median(&mut errors)
         })
         .collect();
@@ -219,8 +275,9 @@ mod tests {
 
     const FRAMES: usize = 20;
 
-    /// Sightings of a room between 3 and 9 away (`flat`: 6 away) by a camera that turns, zooms by `zoom` and walks ahead by
-    /// `ahead` over the clip; noise of 0.1 pixels, a tenth of the tracks anywhere.
+    /// Sightings of a room between 3 and 9 away (`flat`: 6 away) by a camera that turns, zooms by
+    /// `zoom` and walks ahead by `ahead` over the clip; noise of 0.1 pixels, a tenth of the tracks
+    /// anywhere.
     fn tracks(turn: f64, zoom: f64, ahead: f64, flat: bool) -> Vec<RawTrack> {
         let mut rng = CounterRng::new(3, 0, 0);
         (0..300)
@@ -229,13 +286,19 @@ mod tests {
                 let x = Vector3::new(0.3 * z * rng.normal(), 0.25 * z * rng.normal(), z);
                 let seen = (0..FRAMES).map(|k| {
                     let s = k as f64 / (FRAMES - 1) as f64;
-                    let p =
-                        exp_so3(&Vector3::new(0.2 * turn * s, turn * s, 0.0)) * (x - Vector3::new(0.0, 0.0, ahead * s));
+                    let p = exp_so3(&Vector3::new(0.2 * turn * s, turn * s, 0.0))
+                        * (x - Vector3::new(0.0, 0.0, ahead * s));
                     let f = 400.0 * zoom.powf(s);
                     let off = if i % 10 == 0 { 10.0 } else { 0.1 };
-                    [f * p.x / p.z + off * rng.normal(), f * p.y / p.z + off * rng.normal()]
+                    [
+                        f * p.x / p.z + off * rng.normal(),
+                        f * p.y / p.z + off * rng.normal(),
+                    ]
                 });
-                RawTrack { first: 0, seen: seen.collect() }
+                RawTrack {
+                    first: 0,
+                    seen: seen.collect(),
+                }
             })
             .collect()
     }
@@ -244,16 +307,22 @@ mod tests {
 
     #[test]
     fn a_zoom_and_a_turn_are_measured() {
-        let found = zooming(&tracks(0.5, 2.0, 0.0, false), FRAMES, &FOCALS, 500.0, 1.0).expect("a zoom");
+        let found =
+            zooming(&tracks(0.5, 2.0, 0.0, false), FRAMES, &FOCALS, 500.0, 1.0).expect("a zoom");
         assert!(found.focal_observed);
         let last = found.aims[FRAMES - 1];
         assert!((last.focal / 800.0 - 1.0).abs() < 0.01, "{}", last.focal);
         let turn = log_so3(&last.rotation);
         assert!((turn - Vector3::new(0.1, 0.5, 0.0)).norm() < 5e-3, "{turn}");
-        // The other way round, without a turn: the assumed focal length is kept, the ratio is known.
-        let found = zooming(&tracks(0.0, 0.6, 0.0, false), FRAMES, &FOCALS, 450.0, 1.0).expect("a zoom");
+        // The other way round, without a turn: the assumed focal length is kept, the ratio is
+        // known.
+        let found =
+            zooming(&tracks(0.0, 0.6, 0.0, false), FRAMES, &FOCALS, 450.0, 1.0).expect("a zoom");
         let (least, most) = range(&found.aims);
-        assert!(!found.focal_observed && (most - 450.0).abs() < 1.0, "{least} {most}");
+        assert!(
+            !found.focal_observed && (most - 450.0).abs() < 1.0,
+            "{least} {most}"
+        );
         assert!((least / most - 0.6).abs() < 0.005, "{least} {most}");
     }
 
@@ -261,7 +330,13 @@ mod tests {
     fn forward_motion_with_parallax_is_not_a_zoom() {
         let zooms = |tracks: &[RawTrack]| zooming(tracks, FRAMES, &FOCALS, 400.0, 1.0).is_some();
         assert!(!zooms(&tracks(0.1, 1.0, 1.5, false)));
-        assert!(zooms(&tracks(0.0, 1.0, 1.5, true)), "something flat grows as if by a zoom");
-        assert!(!zooms(&tracks(0.3, 1.0, 0.0, false)), "a turn alone is none");
+        assert!(
+            zooms(&tracks(0.0, 1.0, 1.5, true)),
+            "something flat grows as if by a zoom"
+        );
+        assert!(
+            !zooms(&tracks(0.3, 1.0, 0.0, false)),
+            "a turn alone is none"
+        );
     }
 }

@@ -5,16 +5,18 @@
 //!   carried mask --box, points, belief--> Segmenter --plausible?--> its mask, else the carried one
 //! ```
 //!
-//! Without a segmenter nothing holds a mask to its thing but the edges of the frames: masks drift, and grow over what looks alike, within tens of
-//! frames. A thing of which too little arrives is lost for good: nothing here remembers what it looks like. Source: mask propagation by
-//! flow is old; the rule when to believe a segmenter is that of `dense::segment`.
+//! Without a segmenter nothing holds a mask to its thing but the edges of the frames: masks drift,
+//! and grow over what looks alike, within tens of frames. A thing of which too little arrives is
+//! lost for good: nothing here remembers what it looks like. Source: mask propagation by flow is
+//! old; the rule when to believe a segmenter is that of `dense::segment`.
 
 mod warp;
 
 use super::InstanceError;
 use super::source::{ObjectId, ObjectMask, ObjectPrompt, VideoSession};
 use crate::classical::dense::{
-    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, SegmentMask, SegmentPrompt, Segmenter, SourceError, asked, prompt,
+    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, SegmentMask, SegmentPrompt, Segmenter,
+    SourceError, asked, prompt,
 };
 use crate::flow::{FlowPair, ScaledFrame};
 use crate::resample::working_size;
@@ -23,7 +25,8 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use warp::{Step, carry, snap};
 
-/// Carries masks of one clip along optical flow. Where there is a segmenter of single images, it says what they mean in each frame.
+/// Carries masks of one clip along optical flow. Where there is a segmenter of single images, it
+/// says what they mean in each frame.
 pub struct FlowFollower<'a> {
     images: &'a [&'a RgbImage],
     size: (usize, usize),
@@ -32,14 +35,20 @@ pub struct FlowFollower<'a> {
 }
 
 impl<'a> FlowFollower<'a> {
-    /// Follows things in `images`, all of one size, with masks of `size`; `segmenter`, by its name, may outline them in each frame.
+    /// Follows things in `images`, all of one size, with masks of `size`; `segmenter`, by its name,
+    /// may outline them in each frame.
     #[must_use]
     pub fn new(
         images: &'a [&'a RgbImage],
         size: (usize, usize),
         segmenter: Option<(&'a str, &'a Segmenter<'a>)>,
     ) -> Self {
-        Self { images, size, segmenter, known: BTreeMap::new() }
+        Self {
+            images,
+            size,
+            segmenter,
+            known: BTreeMap::new(),
+        }
     }
 }
 
@@ -54,16 +63,25 @@ fn prompt_of(mask: &CompactMask) -> SegmentPrompt {
     prompt(w, h, |p| mask.at(p % w, p / w))
 }
 
-/// For each carried mask what the segmenter makes of it, where that is trusted and about the same thing; else the carried mask.
+/// For each carried mask what the segmenter makes of it, where that is trusted and about the same
+/// thing; else the carried mask.
 fn sharpened(
     segmenter: &Segmenter<'_>,
     image: &RgbImage,
     size: (usize, usize),
     mut carried: Vec<Option<CompactMask>>,
 ) -> Result<Vec<Option<CompactMask>>, SourceError> {
-    let large: Vec<usize> =
-        (0..carried.len()).filter(|&k| carried[k].as_ref().is_some_and(|m| m.count() >= LEAST_PART_PX)).collect();
-    let prompts: Vec<SegmentPrompt> = large.par_iter().filter_map(|&k| Some(prompt_of(carried[k].as_ref()?))).collect();
+    let large: Vec<usize> = (0..carried.len())
+        .filter(|&k| {
+            carried[k]
+                .as_ref()
+                .is_some_and(|m| m.count() >= LEAST_PART_PX)
+        })
+        .collect();
+    let prompts: Vec<SegmentPrompt> = large
+        .par_iter()
+        .filter_map(|&k| Some(prompt_of(carried[k].as_ref()?)))
+        .collect();
     let found = asked(segmenter, image, size, &prompts)?;
     for (&k, answer) in large.iter().zip(&found) {
         if let Some(mask) = &mut carried[k] {
@@ -82,12 +100,14 @@ fn overlap(a: &CompactMask, b: &CompactMask) -> f32 {
     both as f32 / (a.count() + b.count() - both).max(1) as f32
 }
 
-/// Longest side of the images between which flow is measured, pixels; as [`crate::classical::dense::DenseConfig::working_side_px`].
+/// Longest side of the images between which flow is measured, pixels; as
+/// [`crate::classical::dense::DenseConfig::working_side_px`].
 const FLOW_SIDE_PX: usize = 480;
 /// Steps whose flow is measured at once.
 const AHEAD: usize = 8;
 
-/// The prompts of an object, and how far it was tracked in either direction. `None` in place of a mask: lost there.
+/// The prompts of an object, and how far it was tracked in either direction. `None` in place of a
+/// mask: lost there.
 #[derive(Default)]
 struct MaskHistory {
     prompted: BTreeMap<usize, CompactMask>,
@@ -108,16 +128,25 @@ impl MaskHistory {
 }
 
 impl FlowFollower<'_> {
-    /// Flow of steps from each of `frames` to the next of them, and the images they lead to at the size of masks.
+    /// Flow of steps from each of `frames` to the next of them, and the images they lead to at the
+    /// size of masks.
     fn steps(&self, frames: &[usize]) -> Vec<(Step, ScaledFrame)> {
         let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
-        let small: Vec<ScaledFrame> =
-            frames.par_iter().map(|&frame| ScaledFrame::new(self.images[frame], flow_size)).collect();
+        let small: Vec<ScaledFrame> = frames
+            .par_iter()
+            .map(|&frame| ScaledFrame::new(self.images[frame], flow_size))
+            .collect();
         let one = |k: usize| {
             let pair = FlowPair::between(&small[k], &small[k + 1]);
-            (Step::new(pair, self.size), ScaledFrame::new(self.images[frames[k + 1]], self.size))
+            (
+                Step::new(pair, self.size),
+                ScaledFrame::new(self.images[frames[k + 1]], self.size),
+            )
         };
-        (0..frames.len().saturating_sub(1)).into_par_iter().map(one).collect()
+        (0..frames.len().saturating_sub(1))
+            .into_par_iter()
+            .map(one)
+            .collect()
     }
 
     /// The masks one step on.
@@ -128,11 +157,14 @@ impl FlowFollower<'_> {
         step: &Step,
         onto: &ScaledFrame,
     ) -> Result<Vec<Option<CompactMask>>, InstanceError> {
-        let carried: Vec<Option<CompactMask>> =
-            masks.par_iter().map(|mask| carry(mask.as_ref()?, step, onto)).collect();
+        let carried: Vec<Option<CompactMask>> = masks
+            .par_iter()
+            .map(|mask| carry(mask.as_ref()?, step, onto))
+            .collect();
         match self.segmenter {
             Some((name, segmenter)) if carried.iter().any(Option::is_some) => {
-                sharpened(segmenter, self.images[frame], self.size, carried).map_err(failed(name, frame))
+                sharpened(segmenter, self.images[frame], self.size, carried)
+                    .map_err(failed(name, frame))
             }
             _ => Ok(carried),
         }
@@ -140,7 +172,11 @@ impl FlowFollower<'_> {
 }
 
 fn failed(segmenter: &str, frame: usize) -> impl Fn(SourceError) -> InstanceError {
-    move |reason| InstanceError::Source { segmenter: segmenter.to_owned(), frame, reason }
+    move |reason| InstanceError::Source {
+        segmenter: segmenter.to_owned(),
+        frame,
+        reason,
+    }
 }
 
 impl VideoSession for FlowFollower<'_> {
@@ -152,7 +188,11 @@ impl VideoSession for FlowFollower<'_> {
         false
     }
 
-    fn prompt(&mut self, frame: usize, prompts: &[ObjectPrompt]) -> Result<Vec<ObjectMask>, InstanceError> {
+    fn prompt(
+        &mut self,
+        frame: usize,
+        prompts: &[ObjectPrompt],
+    ) -> Result<Vec<ObjectMask>, InstanceError> {
         let image = self.images[frame];
         let answers: Vec<CompactMask> = match self.segmenter {
             Some((name, segmenter)) => {
@@ -165,25 +205,45 @@ impl VideoSession for FlowFollower<'_> {
                         belief: p.belief.clone(),
                     })
                     .collect();
-                let found = asked(segmenter, image, self.size, &wanted).map_err(failed(name, frame))?;
-                found.iter().map(|m: &SegmentMask| above(&m.logits, self.size)).collect()
+                let found =
+                    asked(segmenter, image, self.size, &wanted).map_err(failed(name, frame))?;
+                found
+                    .iter()
+                    .map(|m: &SegmentMask| above(&m.logits, self.size))
+                    .collect()
             }
             None => {
                 let scaled = ScaledFrame::new(image, self.size);
-                prompts.par_iter().map(|p| snap(&above(&p.belief, self.size), &scaled)).collect()
+                prompts
+                    .par_iter()
+                    .map(|p| snap(&above(&p.belief, self.size), &scaled))
+                    .collect()
             }
         };
         let mut out = Vec::with_capacity(prompts.len());
         for (prompt, mask) in prompts.iter().zip(answers) {
             let known = self.known.entry(prompt.object).or_default();
             known.prompted.insert(frame, mask.clone());
-            out.push(ObjectMask { object: prompt.object, mask, lost: false });
+            out.push(ObjectMask {
+                object: prompt.object,
+                mask,
+                lost: false,
+            });
         }
         Ok(out)
     }
 
-    fn set_mask(&mut self, frame: usize, object: ObjectId, mask: &CompactMask) -> Result<(), InstanceError> {
-        self.known.entry(object).or_default().prompted.insert(frame, mask.clone());
+    fn set_mask(
+        &mut self,
+        frame: usize,
+        object: ObjectId,
+        mask: &CompactMask,
+    ) -> Result<(), InstanceError> {
+        self.known
+            .entry(object)
+            .or_default()
+            .prompted
+            .insert(frame, mask.clone());
         Ok(())
     }
 
@@ -204,9 +264,17 @@ impl VideoSession for FlowFollower<'_> {
             return Ok(());
         }
         let later = to > from;
-        let start = |object: &ObjectId| self.known.get(object).and_then(|known| known.at(from, later));
+        let start = |object: &ObjectId| {
+            self.known
+                .get(object)
+                .and_then(|known| known.at(from, later))
+        };
         let mut masks: Vec<Option<CompactMask>> = objects.iter().map(start).collect();
-        let way: Vec<usize> = if later { (from..=to).collect() } else { (to..=from).rev().collect() };
+        let way: Vec<usize> = if later {
+            (from..=to).collect()
+        } else {
+            (to..=from).rev().collect()
+        };
         for k in (0..way.len().saturating_sub(1)).step_by(AHEAD) {
             if progress.cancelled() {
                 return Err(InstanceError::Cancelled { phase: PHASE });
@@ -215,7 +283,8 @@ impl VideoSession for FlowFollower<'_> {
             let part = &way[k..way.len().min(k + AHEAD + 1)];
             let prompted = |object: &ObjectId| {
                 let prompted = self.known.get(object).map(|known| &known.prompted);
-                prompted.is_some_and(|prompted| part.iter().any(|frame| prompted.contains_key(frame)))
+                prompted
+                    .is_some_and(|prompted| part.iter().any(|frame| prompted.contains_key(frame)))
             };
             let gone = masks.iter().all(Option::is_none) && !objects.iter().any(prompted);
             let steps = if gone { Vec::new() } else { self.steps(part) };
@@ -229,17 +298,32 @@ impl VideoSession for FlowFollower<'_> {
                 };
                 // What was said of a frame outranks what is found there.
                 let said = |object| Some(self.known.get(object)?.prompted.get(&frame)?.clone());
-                masks = found.into_iter().zip(objects).map(|(found, object)| said(object).or(found)).collect();
-                let shown = masks.iter().zip(objects).map(|(found, &object)| match found {
-                    Some(mask) => ObjectMask { object, mask: mask.clone(), lost: false },
-                    None => ObjectMask::unseen(object, self.size, true),
-                });
+                masks = found
+                    .into_iter()
+                    .zip(objects)
+                    .map(|(found, object)| said(object).or(found))
+                    .collect();
+                let shown = masks
+                    .iter()
+                    .zip(objects)
+                    .map(|(found, &object)| match found {
+                        Some(mask) => ObjectMask {
+                            object,
+                            mask: mask.clone(),
+                            lost: false,
+                        },
+                        None => ObjectMask::unseen(object, self.size, true),
+                    });
                 sink(frame, shown.collect());
             }
         }
         for (object, mask) in objects.iter().zip(masks) {
             if let Some(known) = self.known.get_mut(object) {
-                *(if later { &mut known.forward } else { &mut known.backward }) = Some((to, mask));
+                *(if later {
+                    &mut known.forward
+                } else {
+                    &mut known.backward
+                }) = Some((to, mask));
             }
         }
         Ok(())

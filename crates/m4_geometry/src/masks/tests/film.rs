@@ -68,8 +68,9 @@ fn pattern(x: f32, y: f32) -> f32 {
 /// The image: each thing in a hue of its own and with a pattern that goes along.
 pub fn image(i: usize) -> RgbImage {
     Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
-        let with =
-            |at: (f32, f32)| (60.0 + 90.0 * pattern(1.4 * (x as f32 - at.0) + 300.0, 1.4 * (y as f32 - at.1))) as u8;
+        let with = |at: (f32, f32)| {
+            (60.0 + 90.0 * pattern(1.4 * (x as f32 - at.0) + 300.0, 1.4 * (y as f32 - at.1))) as u8
+        };
         match thing_at(x, y, i) {
             1 => [250, with(walker(i)), 40],
             2 => [40, with(late(i)), 250],
@@ -91,7 +92,8 @@ pub fn truth(i: usize) -> CompactMask {
     CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| (1..=3).contains(&thing_at(x, y, i)))
 }
 
-/// Whether the coarse mask has the pixel: things too wide and shifted, the static thing for a moment, and a ghost.
+/// Whether the coarse mask has the pixel: things too wide and shifted, the static thing for a
+/// moment, and a ghost.
 fn coarse_at(x: usize, y: usize, i: usize) -> bool {
     let moved = |at: (f32, f32)| (at.0 + 3.0, at.1 + 2.0);
     disc(x, y, moved(walker(i)), 16.0)
@@ -102,14 +104,18 @@ fn coarse_at(x: usize, y: usize, i: usize) -> bool {
 }
 
 pub fn coarse_masks() -> Vec<CompactMask> {
-    (0..FRAMES).map(|i| CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| coarse_at(x, y, i))).collect()
+    (0..FRAMES)
+        .map(|i| CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| coarse_at(x, y, i)))
+        .collect()
 }
 
 /// Maps of a quarter of the size: how much of each 4 x 4 pixels is coarse.
 pub fn motion_maps() -> Vec<Plane<u8>> {
     let map = |i: usize| {
         Plane::from_fn(SIZE.0 / 4, SIZE.1 / 4, |x, y| {
-            let inside = (0..16).filter(|k| coarse_at(4 * x + k % 4, 4 * y + k / 4, i)).count();
+            let inside = (0..16)
+                .filter(|k| coarse_at(4 * x + k % 4, 4 * y + k / 4, i))
+                .count();
             (15 + 14 * inside) as u8
         })
     };
@@ -169,7 +175,11 @@ pub fn hues(
         let [x, y] = prompt.points_px[0];
         let wanted = hue(image[(x as usize, y as usize)]);
         SegmentMask {
-            logits: image.data().iter().map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 }).collect(),
+            logits: image
+                .data()
+                .iter()
+                .map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 })
+                .collect(),
             quality: 0.9,
         }
     };
@@ -179,6 +189,11 @@ pub fn hues(
 /// Grabs the background: all of it, or a corner of `corner_px` pixels a side.
 pub fn grabbed(corner_px: usize, (w, h): (usize, usize), prompts: usize) -> Vec<SegmentMask> {
     let corner = |p: usize| p % w < corner_px && p / w < corner_px;
-    let mask = SegmentMask { logits: (0..w * h).map(|p| if corner(p) { 1.0 } else { -1.0 }).collect(), quality: 1.0 };
+    let mask = SegmentMask {
+        logits: (0..w * h)
+            .map(|p| if corner(p) { 1.0 } else { -1.0 })
+            .collect(),
+        quality: 1.0,
+    };
     vec![mask; prompts]
 }

@@ -1,19 +1,23 @@
-//! The whole way on a clip whose things are known: one walks, one comes late, one leaves, one only seems to move.
+//! The whole way on a clip whose things are known: one walks, one comes late, one leaves, one only
+//! seems to move.
 
 mod film;
 
 use super::*;
 use crate::classical::dense::Segmenter;
 use film::{
-    FRAMES, LATE_COARSE, LATE_SEEN, SIZE, as_masks, as_motion, coarse_masks, grabbed, hues, iou, iou_of, motion_maps,
-    thing_at,
+    FRAMES, LATE_COARSE, LATE_SEEN, SIZE, as_masks, as_motion, coarse_masks, grabbed, hues, iou,
+    iou_of, motion_maps, thing_at,
 };
 use m4_core::{CompactMask, Plane, Progress, RgbImage, Silent};
 use rayon::ThreadPoolBuilder;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 fn settings() -> RefineSettings {
-    RefineSettings { every_frames: 4, ..RefineSettings::default() }
+    RefineSettings {
+        every_frames: 4,
+        ..RefineSettings::default()
+    }
 }
 
 fn run_with(
@@ -25,7 +29,11 @@ fn run_with(
     let images = film::images();
     let clip: Vec<&RgbImage> = images.iter().collect();
     let open = |size| -> Result<Box<dyn VideoSession + '_>, InstanceError> {
-        Ok(Box::new(FlowFollower::new(&clip, size, segmenter.map(|segmenter| ("hues", segmenter)))))
+        Ok(Box::new(FlowFollower::new(
+            &clip,
+            size,
+            segmenter.map(|segmenter| ("hues", segmenter)),
+        )))
     };
     refine(&clip, coarse, settings, open, progress)
 }
@@ -39,37 +47,80 @@ fn number(found: &Refined, thing: u8, frame: usize) -> u16 {
             *counts.entry(id).or_insert(0usize) += 1;
         }
     }
-    counts.into_iter().max_by_key(|&(_, n)| n).map_or(0, |(id, _)| id)
+    counts
+        .into_iter()
+        .max_by_key(|&(_, n)| n)
+        .map_or(0, |(id, _)| id)
 }
 
-/// The walker, what comes late and what leaves, each of one number from the frame in which it is seen.
+/// The walker, what comes late and what leaves, each of one number from the frame in which it is
+/// seen.
 fn tracked(found: &Refined) -> [&InstanceRecord; 3] {
-    let (walker, late, leaver) = (number(found, 1, 0), number(found, 2, FRAMES - 1), number(found, 3, 0));
-    assert!(walker > 0 && leaver > 0 && late > 0 && walker != leaver && late != walker && late != leaver);
+    let (walker, late, leaver) = (
+        number(found, 1, 0),
+        number(found, 2, FRAMES - 1),
+        number(found, 3, 0),
+    );
+    assert!(
+        walker > 0
+            && leaver > 0
+            && late > 0
+            && walker != leaver
+            && late != walker
+            && late != leaver
+    );
     assert!((0..FRAMES).all(|i| number(found, 1, i) == walker));
-    assert!((LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late), "{:#?}", found.report);
+    assert!(
+        (LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late),
+        "{:#?}",
+        found.report
+    );
     let records = [walker, late, leaver].map(|id| &found.report.instances[usize::from(id) - 1]);
     assert_eq!(records.map(|r| r.id), [walker, late, leaver]);
     // It is found when the masks show it, and followed back to where it came in.
     assert!(records[1].prompted_frame >= LATE_COARSE && records[1].first_frame < LATE_COARSE);
-    assert!(matches!(records[2].ending, Ending::Lost { frame } if (10..17).contains(&frame)), "{:#?}", records[2]);
+    assert!(
+        matches!(records[2].ending, Ending::Lost { frame } if (10..17).contains(&frame)),
+        "{:#?}",
+        records[2]
+    );
     records
 }
 
 fn check_things(found: &Refined, better_than: f64) {
     let score = iou_of(found);
-    assert!(score > better_than, "{score} {better_than} {:#?}", found.report);
+    assert!(
+        score > better_than,
+        "{score} {better_than} {:#?}",
+        found.report
+    );
     assert_eq!(found.report.instances.len(), 3, "{:#?}", found.report);
     let [walker, late, _] = tracked(found);
-    assert_eq!((late.ending, walker.ending, walker.frames), (Ending::ClipEnd, Ending::ClipEnd, FRAMES));
+    assert_eq!(
+        (late.ending, walker.ending, walker.frames),
+        (Ending::ClipEnd, Ending::ClipEnd, FRAMES)
+    );
     // The static thing was taken for dynamic at first, the ghost for a moment.
     let reasons: Vec<&Rejection> = found.report.rejected.iter().map(|r| &r.reason).collect();
-    assert!(reasons.iter().any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.1)), "{reasons:?}");
-    assert!(reasons.iter().any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })), "{reasons:?}");
+    assert!(
+        reasons
+            .iter()
+            .any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.1)),
+        "{reasons:?}"
+    );
+    assert!(
+        reasons
+            .iter()
+            .any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })),
+        "{reasons:?}"
+    );
     assert!((0..FRAMES).all(|i| number(found, 4, i) == 0));
     for frame in &found.frames {
         let ids = frame.ids.to_plane();
-        assert!((0..ids.data().len()).all(|p| ids.data()[p] == 0 || frame.mask.at(p % SIZE.0, p / SIZE.0)));
+        assert!(
+            (0..ids.data().len())
+                .all(|p| ids.data()[p] == 0 || frame.mask.at(p % SIZE.0, p / SIZE.0))
+        );
     }
 }
 
@@ -81,39 +132,60 @@ fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
     println!("coarse {coarse:.3}, refined {:.3}", iou_of(&found));
     assert!(coarse < 0.75, "{coarse}");
     check_things(&found, 0.93);
-    assert_eq!((found.report.segmenter.as_str(), found.report.coarse.as_str()), ("hues", "motion"));
+    assert_eq!(
+        (
+            found.report.segmenter.as_str(),
+            found.report.coarse.as_str()
+        ),
+        ("hues", "motion")
+    );
 }
 
-/// Flow alone finds no better outlines than it starts with, and what it drags along grows; but identities are right.
+/// Flow alone finds no better outlines than it starts with, and what it drags along grows; but
+/// identities are right.
 #[test]
 fn flow_alone_follows_them_too() {
     let masks = coarse_masks();
     let found = run_with(&as_masks(&masks), None, &settings(), &Silent).unwrap();
-    println!("coarse {:.3}, refined {:.3}", iou(coarse_masks().into_iter()), iou_of(&found));
+    println!(
+        "coarse {:.3}, refined {:.3}",
+        iou(coarse_masks().into_iter()),
+        iou_of(&found)
+    );
     let [walker, _, _] = tracked(&found);
     // Its edge moved to the thing's: a disc of 14 px, where the coarse mask has one of 16.
     let true_share = 616.0 / 19_200.0;
     let share = walker.mean_area_share;
-    assert!((share / true_share - 1.0).abs() < 0.1, "{share} {true_share}");
+    assert!(
+        (share / true_share - 1.0).abs() < 0.1,
+        "{share} {true_share}"
+    );
 }
 
 #[test]
 fn a_segmenter_that_grabs_the_background_is_not_believed() {
     let maps = motion_maps();
     let run = |coarse: &Coarse<'_>, corner_px: usize| {
-        let grabber = |_: &RgbImage, size, prompts: &[_]| Ok(grabbed(corner_px, size, prompts.len()));
+        let grabber =
+            |_: &RgbImage, size, prompts: &[_]| Ok(grabbed(corner_px, size, prompts.len()));
         run_with(coarse, Some(&grabber), &settings(), &Silent).unwrap()
     };
     for (corner_px, large) in [(1000, true), (20, false)] {
         let found = run(&as_motion(&maps), corner_px);
-        assert!(found.report.instances.is_empty() && found.frames.iter().all(|f| f.mask.count() == 0));
+        assert!(
+            found.report.instances.is_empty() && found.frames.iter().all(|f| f.mask.count() == 0)
+        );
         let right = |r: &Rejected| match r.reason {
             Rejection::TooLarge { share } => large && share == 1.0,
             Rejection::Elsewhere { overlap } => !large && overlap < 0.2,
             Rejection::Flicker { .. } => true,
             _ => false,
         };
-        assert!(found.report.rejected.iter().all(right), "{:?}", found.report.rejected);
+        assert!(
+            found.report.rejected.iter().all(right),
+            "{:?}",
+            found.report.rejected
+        );
         assert!(found.report.rejected.len() > 5);
     }
     // Coarse masks are kept where nothing explains them, except for what is there for a moment.
@@ -147,8 +219,13 @@ impl Progress for Watch {
 fn the_same_bits_for_any_number_of_threads() {
     let maps = motion_maps();
     let all = |threads: usize, segmenter: Option<&Segmenter<'_>>| {
-        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let found = pool.install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent)).unwrap();
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        let found = pool
+            .install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent))
+            .unwrap();
         (found.frames, found.report)
     };
     assert_eq!(all(1, Some(&hues)), all(3, Some(&hues)));
@@ -159,9 +236,15 @@ fn the_same_bits_for_any_number_of_threads() {
 fn stopping_stops() {
     let maps = motion_maps();
     for stop_after in [0, 3, 20, 45] {
-        let watch = Watch { updates: AtomicUsize::new(0), stop_after };
+        let watch = Watch {
+            updates: AtomicUsize::new(0),
+            stop_after,
+        };
         let error = run_with(&as_motion(&maps), Some(&hues), &settings(), &watch).unwrap_err();
-        assert!(matches!(error, InstanceError::Cancelled { .. }), "{stop_after}: {error}");
+        assert!(
+            matches!(error, InstanceError::Cancelled { .. }),
+            "{stop_after}: {error}"
+        );
         assert!(watch.updates.load(Ordering::Relaxed) <= stop_after + 10);
     }
 }
@@ -171,17 +254,40 @@ fn mismatched_input_is_an_error() {
     let mut maps = motion_maps();
     maps.pop();
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
-    assert!(error.to_string().contains("29 coarse masks were given for 30"), "{error}");
+    assert!(
+        error
+            .to_string()
+            .contains("29 coarse masks were given for 30"),
+        "{error}"
+    );
     maps.push(Plane::filled(0, 7, 0));
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
-    assert!(error.to_string().contains("frame 29 has no pixels"), "{error}");
+    assert!(
+        error.to_string().contains("frame 29 has no pixels"),
+        "{error}"
+    );
     for wrong in [
-        RefineSettings { every_frames: 0, ..settings() },
-        RefineSettings { tau: f32::NAN, ..settings() },
-        RefineSettings { tau: 0.2, ..settings() },
-        RefineSettings { side_px: 63, ..settings() },
+        RefineSettings {
+            every_frames: 0,
+            ..settings()
+        },
+        RefineSettings {
+            tau: f32::NAN,
+            ..settings()
+        },
+        RefineSettings {
+            tau: 0.2,
+            ..settings()
+        },
+        RefineSettings {
+            side_px: 63,
+            ..settings()
+        },
     ] {
-        assert!(matches!(wrong.check(), Err(InstanceError::Setting { .. })), "{wrong:?}");
+        assert!(
+            matches!(wrong.check(), Err(InstanceError::Setting { .. })),
+            "{wrong:?}"
+        );
     }
 }
 
@@ -201,7 +307,11 @@ fn followed(
     to: usize,
 ) -> Vec<(usize, Vec<ObjectMask>)> {
     let mut all = Vec::new();
-    session.follow(objects, from, to, &Silent, &mut |frame, masks| all.push((frame, masks))).unwrap();
+    session
+        .follow(objects, from, to, &Silent, &mut |frame, masks| {
+            all.push((frame, masks))
+        })
+        .unwrap();
     all
 }
 
@@ -220,14 +330,20 @@ fn objects_are_tracked_in_one_pass_per_direction() {
     };
     let (mut session, mut other) = (session(), session());
     let objects = [LATE, WALKER];
-    for (to, way) in [(20, (16..=20).collect::<Vec<_>>()), (10, (10..15).rev().collect())] {
+    for (to, way) in [
+        (20, (16..=20).collect::<Vec<_>>()),
+        (10, (10..15).rev().collect()),
+    ] {
         let found = followed(&mut session, &objects, 15, to);
         assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), way);
         for (frame, masks) in found {
             assert_eq!(masks.iter().map(|m| m.object).collect::<Vec<_>>(), objects);
             for (mask, thing) in masks.iter().zip([2, 1]) {
                 let score = overlap(&mask.mask, &exactly(thing, frame));
-                assert!(!mask.lost && score > 0.85, "thing {thing}, frame {frame}: {score}");
+                assert!(
+                    !mask.lost && score > 0.85,
+                    "thing {thing}, frame {frame}: {score}"
+                );
             }
         }
     }

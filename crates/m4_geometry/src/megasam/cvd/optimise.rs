@@ -18,7 +18,8 @@ pub struct ConsistentDepth {
     pub disparity: Vec<Plane<f32>>,
     /// u, one plane per frame: low where a pixel does not follow the camera's motion.
     pub uncertainty: Vec<Plane<f32>>,
-    /// The factor that stage 1 gave each frame: its disparity entered stage 2 as `scale initial + shift`.
+    /// The factor that stage 1 gave each frame: its disparity entered stage 2 as
+    /// `scale initial + shift`.
     pub scale: Vec<f64>,
     /// The summand of stage 1, one over the unit of the poses.
     pub shift: Vec<f64>,
@@ -28,13 +29,14 @@ pub struct ConsistentDepth {
 
 /// Moves the disparity of every frame until the frames agree with one another along the flow.
 ///
-/// Poses and intrinsics are held fixed, and the scale of the poses decides the scale of the result. See the module for the
-/// method and [`super::pairs::PairStore`] for the flow. The result is the same on any number of threads.
+/// Poses and intrinsics are held fixed, and the scale of the poses decides the scale of the result.
+/// See the module for the method and [`super::pairs::PairStore`] for the flow. The result is the
+/// same on any number of threads.
 ///
 /// # Errors
 ///
-/// [`CvdError`] if the inputs do not belong together or hold numbers that cannot be worked with, if no pixel of any pair
-/// counts, if pairs cannot be read, or if `progress` says to stop.
+/// [`CvdError`] if the inputs do not belong together or hold numbers that cannot be worked with, if
+/// no pixel of any pair counts, if pairs cannot be read, or if `progress` says to stop.
 pub fn optimise(
     input: &CvdInput<'_>,
     pairs: &PairStore,
@@ -58,10 +60,20 @@ pub fn optimise(
     let scaled: Vec<Vec<f32>> = input
         .disparity
         .iter()
-        .map(|plane| plane.data().iter().map(|&d| (f64::from(d) * unit) as f32).collect())
+        .map(|plane| {
+            plane
+                .data()
+                .iter()
+                .map(|&d| (f64::from(d) * unit) as f32)
+                .collect()
+        })
         .collect();
-    let starts: Vec<Start<'_>> =
-        (0..scaled.len()).map(|i| Start { disparity: &scaled[i], uncertainty: input.uncertainty[i].data() }).collect();
+    let starts: Vec<Start<'_>> = (0..scaled.len())
+        .map(|i| Start {
+            disparity: &scaled[i],
+            uncertainty: input.uncertainty[i].data(),
+        })
+        .collect();
     let mut descent = Descent::new(SimdLevel::best(), [lens; 2], &w2c, pairs, &starts);
     drop(starts);
     drop(scaled);
@@ -69,11 +81,19 @@ pub fn optimise(
         let Course { affine, losses, .. } = course;
         let (width, height) = pairs.size();
         let plane = |data: Vec<f32>, factor: f64, limits: [f64; 2]| {
-            let at = |x: usize, y: usize| (f64::from(data[y * width + x]).clamp(limits[0], limits[1]) / factor) as f32;
+            let at = |x: usize, y: usize| {
+                (f64::from(data[y * width + x]).clamp(limits[0], limits[1]) / factor) as f32
+            };
             Plane::from_fn(width, height, at)
         };
-        let disparity = descent.disparity().into_iter().map(|d| plane(d, unit, DISPARITY));
-        let uncertainty = descent.uncertainty().into_iter().map(|u| plane(u, 1.0, UNCERTAINTY));
+        let disparity = descent
+            .disparity()
+            .into_iter()
+            .map(|d| plane(d, unit, DISPARITY));
+        let uncertainty = descent
+            .uncertainty()
+            .into_iter()
+            .map(|u| plane(u, 1.0, UNCERTAINTY));
         ConsistentDepth {
             disparity: disparity.collect(),
             uncertainty: uncertainty.collect(),
@@ -117,7 +137,12 @@ pub(super) fn run(
             }
             course.losses[index].push(report.loss);
             let done = course.losses[0].len() + course.losses[1].len();
-            progress.update("consistent depth", done, total, &format!("loss {:.4}", report.loss));
+            progress.update(
+                "consistent depth",
+                done,
+                total,
+                &format!("loss {:.4}", report.loss),
+            );
         }
         if moves == Moves::Affine {
             course.affine = descent.settle();
@@ -158,34 +183,58 @@ fn check(input: &CvdInput<'_>, pairs: &PairStore) -> Result<(), CvdError> {
     }
     for frame in 0..frames {
         let pose = &input.c2w[frame];
-        let lens = [k.fx, k.fy, k.cx, k.cy, k.fx.recip(), k.fy.recip(), k.fx.sqrt(), k.fy.sqrt()];
-        let numbers = pose.rotation.iter().chain(pose.translation.iter()).chain(&lens);
+        let lens = [
+            k.fx,
+            k.fy,
+            k.cx,
+            k.cy,
+            k.fx.recip(),
+            k.fy.recip(),
+            k.fx.sqrt(),
+            k.fy.sqrt(),
+        ];
+        let numbers = pose
+            .rotation
+            .iter()
+            .chain(pose.translation.iter())
+            .chain(&lens);
         if let Some(&value) = numbers.into_iter().find(|v| !v.is_finite()) {
             return refused(format!(
                 "the camera of frame {frame} holds {value}; it must be finite, with focal lengths above 0"
             ));
         }
         let positive = |v: f32| v > 0.0 && v.is_finite();
-        for (what, planes) in [("disparity", input.disparity), ("uncertainty", input.uncertainty)] {
+        for (what, planes) in [
+            ("disparity", input.disparity),
+            ("uncertainty", input.uncertainty),
+        ] {
             let plane = &planes[frame];
             count(what, plane.width(), width)?;
             count(what, plane.height(), height)?;
             if let Some(value) = plane.data().iter().find(|v| !positive(**v)) {
-                return refused(format!("{what} of frame {frame} holds {value}; it must be above 0 and finite"));
+                return refused(format!(
+                    "{what} of frame {frame} holds {value}; it must be above 0 and finite"
+                ));
             }
         }
     }
     Ok(())
 }
 
-/// Of all pixels of all frames, by linear interpolation between ranks as NumPy has it; 0 frames give 1.
+/// Of all pixels of all frames, by linear interpolation between ranks as NumPy has it; 0 frames
+/// give 1.
 fn percentile_98(disparity: &[Plane<f32>]) -> f64 {
     let mut values: Vec<f32> = disparity.iter().flat_map(|p| p.data()).copied().collect();
     if values.is_empty() {
         return 1.0;
     }
     let rank = 0.98 * (values.len() - 1) as f64;
-    let (_, &mut below, above) = values.select_nth_unstable_by(rank.floor() as usize, f32::total_cmp);
-    let next = above.iter().copied().min_by(f32::total_cmp).unwrap_or(below);
+    let (_, &mut below, above) =
+        values.select_nth_unstable_by(rank.floor() as usize, f32::total_cmp);
+    let next = above
+        .iter()
+        .copied()
+        .min_by(f32::total_cmp)
+        .unwrap_or(below);
     f64::from(below) + rank.fract() * f64::from(next - below)
 }

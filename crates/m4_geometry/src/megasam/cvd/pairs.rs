@@ -4,8 +4,9 @@
 //! pair_list -> flow both ways (caller) -> halved -> consistency_mask -> PairStore
 //! ```
 //!
-//! docs/spec/front-end.md 1.7. A million pixels of flow a second pass through here for every second of
-//! video, so a stored pixel has four bytes, and what exceeds a byte budget goes to a temporary file.
+//! docs/spec/front-end.md 1.7. A million pixels of flow a second pass through here for every second
+//! of video, so a stored pixel has four bytes, and what exceeds a byte budget goes to a temporary
+//! file.
 
 use super::PairError;
 use m4_core::Flow;
@@ -26,29 +27,45 @@ pub struct FramePair {
     pub target: usize,
 }
 
-/// Every pair of frames [`STEPS`] apart, forwards in time, by step and then by source: `5 n - 30` pairs from 15 frames
-/// on. Steps as long as the clip or longer have no pairs.
+/// Every pair of frames [`STEPS`] apart, forwards in time, by step and then by source: `5 n - 30`
+/// pairs from 15 frames on. Steps as long as the clip or longer have no pairs.
 #[must_use]
 pub fn pair_list(frames: usize) -> Vec<FramePair> {
-    let of_step = |step: usize| (step..frames).map(move |target| FramePair { source: target - step, target });
+    let of_step = |step: usize| {
+        (step..frames).map(move |target| FramePair {
+            source: target - step,
+            target,
+        })
+    };
     STEPS.into_iter().flat_map(of_step).collect()
 }
 
 /// Greatest forward-backward error of a pixel that counts, pixels at the working size. MegaSaM: 1.
 pub const MAX_ROUND_TRIP_PX: f32 = 1.0;
 
-/// The flow on an image of half the size (rounded down): bilinear at pixel centres, clamped at the edges, values scaled along.
+/// The flow on an image of half the size (rounded down): bilinear at pixel centres, clamped at the
+/// edges, values scaled along.
 #[must_use]
 pub fn halved(flow: &Flow) -> Flow {
     let (width, height) = ((flow.width / 2).max(1), (flow.height / 2).max(1));
-    let (sx, sy) = (flow.width as f32 / width as f32, flow.height as f32 / height as f32);
-    let mut out = Flow { width, height, u: Vec::with_capacity(width * height), v: Vec::with_capacity(width * height) };
+    let (sx, sy) = (
+        flow.width as f32 / width as f32,
+        flow.height as f32 / height as f32,
+    );
+    let mut out = Flow {
+        width,
+        height,
+        u: Vec::with_capacity(width * height),
+        v: Vec::with_capacity(width * height),
+    };
     for row in 0..height {
         let y = ((row as f32 + 0.5) * sy - 0.5).clamp(0.0, (flow.height - 1) as f32);
         for column in 0..width {
             let x = ((column as f32 + 0.5) * sx - 0.5).clamp(0.0, (flow.width - 1) as f32);
-            out.u.push(sample(flow.width, flow.height, &flow.u, x, y) / sx);
-            out.v.push(sample(flow.width, flow.height, &flow.v, x, y) / sy);
+            out.u
+                .push(sample(flow.width, flow.height, &flow.u, x, y) / sx);
+            out.v
+                .push(sample(flow.width, flow.height, &flow.v, x, y) / sy);
         }
     }
     out
@@ -65,15 +82,19 @@ fn sample(width: usize, height: usize, plane: &[f32], x: f32, y: f32) -> f32 {
     let (x0, y0) = (x0 as isize, y0 as isize);
     let tap = |x: isize, y: isize| {
         let inside = x >= 0 && y >= 0 && x < width as isize && y < height as isize;
-        if inside { plane[y as usize * width + x as usize] } else { 0.0 }
+        if inside {
+            plane[y as usize * width + x as usize]
+        } else {
+            0.0
+        }
     };
     let top = tap(x0, y0) * (1.0 - fx) + tap(x0 + 1, y0) * fx;
     let bottom = tap(x0, y0 + 1) * (1.0 - fx) + tap(x0 + 1, y0 + 1) * fx;
     top * (1.0 - fy) + bottom * fy
 }
 
-/// `[height][width]`: how far a pixel lands from where it started after going there and back, pixels; the way back is 0
-/// outside the frame. A flow that is not finite gives infinity.
+/// `[height][width]`: how far a pixel lands from where it started after going there and back,
+/// pixels; the way back is 0 outside the frame. A flow that is not finite gives infinity.
 #[must_use]
 pub fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     let (w, h) = (there.width, there.height);
@@ -83,14 +104,18 @@ pub fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
         let (x, y) = ((i % w) as f32 + u, (i / w) as f32 + v);
         let error = (u + sample(back.width, back.height, &back.u, x, y))
             .hypot(v + sample(back.width, back.height, &back.v, x, y));
-        out.push(if error.is_finite() { error } else { f32::INFINITY });
+        out.push(if error.is_finite() {
+            error
+        } else {
+            f32::INFINITY
+        });
     }
     out
 }
 
-/// `[height][width]`: whether a pixel of `there` counts. It does if it returns to within [`MAX_ROUND_TRIP_PX`] and lands
-/// inside the frame: a pixel that leaves meets a way back of 0, which a short way out would pass, and what is sampled
-/// out there is no disparity.
+/// `[height][width]`: whether a pixel of `there` counts. It does if it returns to within
+/// [`MAX_ROUND_TRIP_PX`] and lands inside the frame: a pixel that leaves meets a way back of 0,
+/// which a short way out would pass, and what is sampled out there is no disparity.
 #[must_use]
 pub fn consistency_mask(there: &Flow, back: &Flow) -> Vec<bool> {
     let (w, h) = (there.width, there.height);
@@ -99,10 +124,13 @@ pub fn consistency_mask(there: &Flow, back: &Flow) -> Vec<bool> {
         x >= 0.0 && y >= 0.0 && x <= (w - 1) as f32 && y <= (h - 1) as f32
     };
     let errors = round_trip_px(there, back).into_iter().enumerate();
-    errors.map(|(i, error)| error < MAX_ROUND_TRIP_PX && inside(i)).collect()
+    errors
+        .map(|(i, error)| error < MAX_ROUND_TRIP_PX && inside(i))
+        .collect()
 }
 
-/// Keeps fields in memory up to a number of bytes and the others in an unnamed temporary file, which goes away with it.
+/// Keeps fields in memory up to a number of bytes and the others in an unnamed temporary file,
+/// which goes away with it.
 #[derive(Debug)]
 pub struct PairStore {
     width: usize,
@@ -118,7 +146,8 @@ pub struct PairStore {
 }
 
 impl PairStore {
-    /// An empty store for fields of a size; `budget_bytes` of them stay in memory (`usize::MAX`: all).
+    /// An empty store for fields of a size; `budget_bytes` of them stay in memory (`usize::MAX`:
+    /// all).
     #[must_use]
     pub fn new(width: usize, height: usize, budget_bytes: usize) -> Self {
         Self {
@@ -147,10 +176,15 @@ impl PairStore {
     ///
     /// # Errors
     ///
-    /// [`PairError`] if the planes have another size, the pair is there or of one frame, or the file cannot be written.
+    /// [`PairError`] if the planes have another size, the pair is there or of one frame, or the
+    /// file cannot be written.
     pub fn push(&mut self, pair: FramePair, flow: &Flow, mask: &[bool]) -> Result<(), PairError> {
         let expected = self.width * self.height;
-        for (what, found) in [("flow x", flow.u.len()), ("flow y", flow.v.len()), ("mask", mask.len())] {
+        for (what, found) in [
+            ("flow x", flow.u.len()),
+            ("flow y", flow.v.len()),
+            ("mask", mask.len()),
+        ] {
             if found != expected {
                 return Err(PairError::Input(format!(
                     "{what} has {found} values where {expected} were expected; all frames must have one size"
@@ -213,12 +247,17 @@ impl PairStore {
         &self.pairs
     }
 
-    /// The field of pair `index`, in place or read into `buffer`; from several threads, in any order.
+    /// The field of pair `index`, in place or read into `buffer`; from several threads, in any
+    /// order.
     ///
     /// # Errors
     ///
     /// [`PairError::Spill`] if it cannot be read.
-    pub fn flow<'a>(&'a self, index: usize, buffer: &'a mut CompactFlow) -> Result<&'a CompactFlow, PairError> {
+    pub fn flow<'a>(
+        &'a self,
+        index: usize,
+        buffer: &'a mut CompactFlow,
+    ) -> Result<&'a CompactFlow, PairError> {
         if let Some(field) = self.memory.get(index) {
             return Ok(field);
         }
@@ -229,7 +268,9 @@ impl PairStore {
         buffer.unit_px = self.spilled[spilled];
         buffer.codes.resize(self.pair_bytes() / 2, 0);
         // a thread that died while it read left nothing half done: every read seeks first
-        let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut file = file
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         file.seek(SeekFrom::Start(self.offset(spilled)))?;
         file.read_exact(bytemuck::cast_slice_mut(&mut buffer.codes))?;
         Ok(buffer)
@@ -247,10 +288,12 @@ pub(in crate::megasam::cvd) fn stride(width: usize) -> usize {
     width.next_multiple_of(LANES)
 }
 
-/// A flow field as whole numbers of `unit_px`, row by row, each row `[stride]` of x and then `[stride]` of y, with
-/// `stride` the width rounded up to 16. Pixels that do not count (and the filling) have [`MASKED`] for x and 0 for y.
+/// A flow field as whole numbers of `unit_px`, row by row, each row `[stride]` of x and then
+/// `[stride]` of y, with `stride` the width rounded up to 16. Pixels that do not count (and the
+/// filling) have [`MASKED`] for x and 0 for y.
 ///
-/// `unit_px` is the greatest component of a pixel that counts over 32,767: a flow of 40 pixels is within 0.0006 pixels.
+/// `unit_px` is the greatest component of a pixel that counts over 32,767: a flow of 40 pixels is
+/// within 0.0006 pixels.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct CompactFlow {
     /// Pixels.
@@ -260,11 +303,18 @@ pub struct CompactFlow {
 }
 
 impl CompactFlow {
-    /// Encodes planes of `[height][width]`, which the caller has checked. A flow that is not finite does not count.
+    /// Encodes planes of `[height][width]`, which the caller has checked. A flow that is not finite
+    /// does not count.
     pub(super) fn encode(width: usize, height: usize, x: &[f32], y: &[f32], mask: &[bool]) -> Self {
         let counts = |i: usize| mask[i] && x[i].is_finite() && y[i].is_finite();
-        let largest = (0..width * height).filter(|&i| counts(i)).fold(0.0f32, |m, i| m.max(x[i].abs()).max(y[i].abs()));
-        let unit_px = if largest > 0.0 { largest / 32_767.0 } else { 1.0 };
+        let largest = (0..width * height)
+            .filter(|&i| counts(i))
+            .fold(0.0f32, |m, i| m.max(x[i].abs()).max(y[i].abs()));
+        let unit_px = if largest > 0.0 {
+            largest / 32_767.0
+        } else {
+            1.0
+        };
         let stride = stride(width);
         let mut codes = vec![0; 2 * stride * height];
         for (row, out) in codes.chunks_exact_mut(2 * stride).enumerate() {
@@ -297,15 +347,33 @@ mod tests {
             assert_eq!(pair_list(n).len(), 5 * n - 30);
         }
         let pairs = pair_list(20);
-        assert_eq!(pairs[0], FramePair { source: 0, target: 1 });
-        assert_eq!(pairs[pairs.len() - 1], FramePair { source: 4, target: 19 });
+        assert_eq!(
+            pairs[0],
+            FramePair {
+                source: 0,
+                target: 1
+            }
+        );
+        assert_eq!(
+            pairs[pairs.len() - 1],
+            FramePair {
+                source: 4,
+                target: 19
+            }
+        );
         assert!(pairs.iter().all(|p| p.source < p.target && p.target < 20));
     }
 
     #[test]
     fn short_clips_have_fewer_pairs() {
         assert!(pair_list(0).is_empty() && pair_list(1).is_empty());
-        assert_eq!(pair_list(2), [FramePair { source: 0, target: 1 }]);
+        assert_eq!(
+            pair_list(2),
+            [FramePair {
+                source: 0,
+                target: 1
+            }]
+        );
         // 2 of step 1, 1 of step 2
         assert_eq!(pair_list(3).len(), 3);
         // 8 + 7 + 5 + 1
@@ -330,7 +398,10 @@ mod tests {
         let mut store = PairStore::new(SIZE.0, SIZE.1, budget);
         for k in 0..5 {
             let (flow, mask) = field(k as u64);
-            let pair = FramePair { source: k, target: k + 1 };
+            let pair = FramePair {
+                source: k,
+                target: k + 1,
+            };
             store.push(pair, &flow, &mask).unwrap();
         }
         store
@@ -347,8 +418,13 @@ mod tests {
             for x in 0..32 {
                 if x < SIZE.0 && mask[y * SIZE.0 + x] {
                     let i = y * SIZE.0 + x;
-                    assert!((f32::from(row[x]) * got.unit_px - flow.u[i]).abs() <= 0.51 * got.unit_px);
-                    assert!((f32::from(row[32 + x]) * got.unit_px - flow.v[i]).abs() <= 0.51 * got.unit_px);
+                    assert!(
+                        (f32::from(row[x]) * got.unit_px - flow.u[i]).abs() <= 0.51 * got.unit_px
+                    );
+                    assert!(
+                        (f32::from(row[32 + x]) * got.unit_px - flow.v[i]).abs()
+                            <= 0.51 * got.unit_px
+                    );
                 } else {
                     assert_eq!(row[x], MASKED);
                 }

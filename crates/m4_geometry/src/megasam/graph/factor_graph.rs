@@ -5,8 +5,8 @@ use super::{ProximitySettings, select_proximity};
 use crate::dba::{Factor, Geometry, PROJECTION_GUARD};
 use std::collections::HashSet;
 
-/// Names an edge from its first to its last day, whatever happens to the numbering of keyframes. No two edges of
-/// one process share it.
+/// Names an edge from its first to its last day, whatever happens to the numbering of keyframes. No
+/// two edges of one process share it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EdgeId(u64);
 
@@ -59,7 +59,8 @@ pub struct EdgeChanges {
     pub left: Vec<EdgeKey>,
 }
 
-/// Active edges are revised; inactive ones keep their last measurement and still count; bad ones only suppress others.
+/// Active edges are revised; inactive ones keep their last measurement and still count; bad ones
+/// only suppress others.
 #[derive(Debug)]
 pub struct FactorGraph {
     /// In the order in which they were added.
@@ -90,7 +91,8 @@ impl FactorGraph {
         }
     }
 
-    /// As published, if `on`: where edges make room, the permutation that sorts the ages is taken for the ranks.
+    /// As published, if `on`: where edges make room, the permutation that sorts the ages is taken
+    /// for the ranks.
     #[cfg(test)]
     #[must_use]
     pub(crate) fn with_permuted_ranks(mut self, on: bool) -> Self {
@@ -103,12 +105,28 @@ impl FactorGraph {
         std::mem::take(&mut self.changes)
     }
 
-    /// Adds those of `pairs` that are neither active nor inactive; their measurement starts as the projection of the
-    /// present geometry with weight 0. With `make_room`, active edges retire first so that no more than
-    /// `max_factors` remain. `frames[k]` is the number of keyframe `k` in the clip.
-    pub fn add(&mut self, pairs: &[(usize, usize)], geometry: &Geometry<f32>, frames: &[usize], make_room: bool) {
-        let known: HashSet<(usize, usize)> = self.active.iter().chain(&self.inactive).map(GraphEdge::ends).collect();
-        let fresh: Vec<(usize, usize)> = pairs.iter().copied().filter(|p| !known.contains(p)).collect();
+    /// Adds those of `pairs` that are neither active nor inactive; their measurement starts as the
+    /// projection of the present geometry with weight 0. With `make_room`, active edges retire
+    /// first so that no more than `max_factors` remain. `frames[k]` is the number of keyframe `k`
+    /// in the clip.
+    pub fn add(
+        &mut self,
+        pairs: &[(usize, usize)],
+        geometry: &Geometry<f32>,
+        frames: &[usize],
+        make_room: bool,
+    ) {
+        let known: HashSet<(usize, usize)> = self
+            .active
+            .iter()
+            .chain(&self.inactive)
+            .map(GraphEdge::ends)
+            .collect();
+        let fresh: Vec<(usize, usize)> = pairs
+            .iter()
+            .copied()
+            .filter(|p| !known.contains(p))
+            .collect();
         if fresh.is_empty() {
             return;
         }
@@ -116,7 +134,11 @@ impl FactorGraph {
             self.make_room(self.max_factors.saturating_sub(fresh.len()));
         }
         for (source, target) in fresh {
-            let key = EdgeKey { id: next_id(), source_frame: frames[source], target_frame: frames[target] };
+            let key = EdgeKey {
+                id: next_id(),
+                source_frame: frames[source],
+                target_frame: frames[target],
+            };
             self.changes.entered.push(key);
             let len = geometry.grid.len();
             self.active.push(GraphEdge {
@@ -153,7 +175,10 @@ impl FactorGraph {
     pub fn all_pairs(&self) -> Vec<(usize, usize)> {
         let active = self.active.iter().map(GraphEdge::ends);
         let inactive = self.inactive.iter().map(GraphEdge::ends);
-        active.chain(self.bad.iter().copied()).chain(inactive).collect()
+        active
+            .chain(self.bad.iter().copied())
+            .chain(inactive)
+            .collect()
     }
 
     /// Makes active edges inactive.
@@ -226,13 +251,20 @@ fn next_id() -> EdgeId {
     EdgeId(NEXT.fetch_add(1, Ordering::Relaxed))
 }
 
-/// Where the pixels of `source` are seen in `target`, `[2][height * width]`: the position of [`crate::dba::project`]
-/// without its derivatives.
-pub(crate) fn projected_planes(geometry: &Geometry<f32>, source: usize, target: usize) -> [Vec<f32>; 2] {
+/// Where the pixels of `source` are seen in `target`, `[2][height * width]`: the position of
+/// [`crate::dba::project`] without its derivatives.
+pub(crate) fn projected_planes(
+    geometry: &Geometry<f32>,
+    source: usize,
+    target: usize,
+) -> [Vec<f32>; 2] {
     let g = geometry.relative(source, target);
     let (r, t, lens) = (&g.rotation, &g.translation, &geometry.lens);
     let disparity = &geometry.disparity[source];
-    let mut planes = [Vec::with_capacity(disparity.len()), Vec::with_capacity(disparity.len())];
+    let mut planes = [
+        Vec::with_capacity(disparity.len()),
+        Vec::with_capacity(disparity.len()),
+    ];
     for (row, line) in disparity.chunks(geometry.grid.width.max(1)).enumerate() {
         let y = (row as f64 - lens.cy) / lens.fy;
         let start: [f64; 3] = std::array::from_fn(|k| r[(k, 1)] * y + r[(k, 2)]);
@@ -255,14 +287,25 @@ mod tests {
 
     #[test]
     fn positions_are_those_of_the_reference_projection() {
-        let grid = Grid { width: 9, height: 7 };
-        let lens = Pinhole { fx: 8.0, fy: 7.5, cx: 4.1, cy: 3.2 };
+        let grid = Grid {
+            width: 9,
+            height: 7,
+        };
+        let lens = Pinhole {
+            fx: 8.0,
+            fy: 7.5,
+            cx: 4.1,
+            cy: 3.2,
+        };
         let plane: Vec<f32> = (0..grid.len()).map(|n| 0.2 + 0.03 * n as f32).collect();
         let geometry = Geometry {
             grid,
             lens,
             // The second camera is so far ahead that near points lie behind it.
-            poses: vec![Se3::identity(), Se3::exp(&Vector6::new(0.3, 0.1, -0.8, 0.1, -0.2, 0.3))],
+            poses: vec![
+                Se3::identity(),
+                Se3::exp(&Vector6::new(0.3, 0.1, -0.8, 0.1, -0.2, 0.3)),
+            ],
             disparity: vec![plane.clone(), plane.clone()],
             sensor: vec![vec![0.0; grid.len()]; 2],
         };
@@ -274,7 +317,10 @@ mod tests {
             behind += usize::from(want.z < 0.1);
             for k in 0..2 {
                 let off = (f64::from(got[k][n]) - want.pixel[k]).abs();
-                assert!(off <= 1e-6 * want.pixel[k].abs().max(1.0), "pixel {n}: off by {off}");
+                assert!(
+                    off <= 1e-6 * want.pixel[k].abs().max(1.0),
+                    "pixel {n}: off by {off}"
+                );
             }
         }
         assert!(behind > 0 && behind < grid.len());

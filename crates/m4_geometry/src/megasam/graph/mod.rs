@@ -6,8 +6,9 @@
 //!          -> FactorGraph (active, retired and rejected edges; ages; renumbering when a keyframe goes)
 //! ```
 //!
-//! Source: docs/spec/front-end.md 1.5; DROID-SLAM (Teed and Deng 2021), section 3.1. Indices are those
-//! of keyframes, poses map world to camera, positions are pixels of the grid (see [`crate::dba`]).
+//! Source: docs/spec/front-end.md 1.5; DROID-SLAM (Teed and Deng 2021), section 3.1. Indices are
+//! those of keyframes, poses map world to camera, positions are pixels of the grid (see
+//! [`crate::dba`]).
 
 mod factor_graph;
 
@@ -37,7 +38,8 @@ pub struct ProximitySettings {
     pub max_factors: usize,
 }
 
-/// All ordered pairs of different frames of `from..to` at most `radius` apart, by source and then target.
+/// All ordered pairs of different frames of `from..to` at most `radius` apart, by source and then
+/// target.
 #[must_use]
 pub fn neighbourhood(from: usize, to: usize, radius: usize) -> Vec<(usize, usize)> {
     (from..to)
@@ -56,7 +58,8 @@ struct Open<'a> {
 impl Open<'_> {
     fn at(&self, i: usize, j: usize) -> Option<usize> {
         let s = self.settings;
-        let inside = (s.first_source..self.frames).contains(&i) && (s.first_target..self.frames).contains(&j);
+        let inside = (s.first_source..self.frames).contains(&i)
+            && (s.first_target..self.frames).contains(&j);
         inside.then(|| (i - s.first_source) * (self.frames - s.first_target) + j - s.first_target)
     }
 
@@ -66,9 +69,13 @@ impl Open<'_> {
         }
     }
 
-    /// Closes all pairs around an edge: as many steps away as the suppression says, fewer for short edges.
+    /// Closes all pairs around an edge: as many steps away as the suppression says, fewer for short
+    /// edges.
     fn suppress(&mut self, i: usize, j: usize) {
-        let reach = i.abs_diff(j).saturating_sub(2).min(self.settings.suppression);
+        let reach = i
+            .abs_diff(j)
+            .saturating_sub(2)
+            .min(self.settings.suppression);
         for i1 in i.saturating_sub(reach)..=i + reach {
             let left = reach - i.abs_diff(i1);
             for j1 in j.saturating_sub(left)..=j + left {
@@ -78,9 +85,9 @@ impl Open<'_> {
     }
 }
 
-/// The edges to add to a graph of `frames` frames that has the edges `existing`: neighbours in time, then pairs by
-/// rising distance, both directions of each. `distances` gives the distance of every pair it is asked for.
-/// Some may exist already.
+/// The edges to add to a graph of `frames` frames that has the edges `existing`: neighbours in
+/// time, then pairs by rising distance, both directions of each. `distances` gives the distance of
+/// every pair it is asked for. Some may exist already.
 pub fn select_proximity(
     frames: usize,
     existing: &[(usize, usize)],
@@ -89,7 +96,11 @@ pub fn select_proximity(
 ) -> Vec<(usize, usize)> {
     let (s, columns) = (settings, frames.saturating_sub(settings.first_target));
     let rows = frames.saturating_sub(s.first_source);
-    let mut candidates = Open { settings, frames, open: vec![true; rows * columns] };
+    let mut candidates = Open {
+        settings,
+        frames,
+        open: vec![true; rows * columns],
+    };
     for &(i, j) in existing {
         candidates.suppress(i, j);
     }
@@ -103,10 +114,14 @@ pub fn select_proximity(
     }
     let pairs: Vec<(usize, usize)> = (s.first_source..frames)
         .flat_map(|i| (s.first_target..frames).map(move |j| (i, j)))
-        .filter(|&(i, j)| i >= j + s.radius && candidates.at(i, j).is_some_and(|k| candidates.open[k]))
+        .filter(|&(i, j)| {
+            i >= j + s.radius && candidates.at(i, j).is_some_and(|k| candidates.open[k])
+        })
         .collect();
     let distance = distances(&pairs);
-    let mut order: Vec<usize> = (0..pairs.len()).filter(|&k| distance[k] <= s.threshold_px.min(100.0)).collect();
+    let mut order: Vec<usize> = (0..pairs.len())
+        .filter(|&k| distance[k] <= s.threshold_px.min(100.0))
+        .collect();
     order.sort_by(|&a, &b| distance[a].total_cmp(&distance[b]));
     for k in order {
         let (i, j) = pairs[k];
@@ -142,20 +157,35 @@ struct Sums {
 
 impl Sums {
     fn distance(self) -> f64 {
-        if self.valid / (self.total + 1e-8) < LEAST_VALID { FAR } else { self.motion / self.valid }
+        if self.valid / (self.total + 1e-8) < LEAST_VALID {
+            FAR
+        } else {
+            self.motion / self.valid
+        }
     }
 }
 
-/// Directed distance from `i` to `j` in pixels of the grid, [`FAR`] when fewer than three quarters of the pixels
-/// lie before the target's camera: plain f64.
+/// Directed distance from `i` to `j` in pixels of the grid, [`FAR`] when fewer than three quarters
+/// of the pixels lie before the target's camera: plain f64.
 #[must_use]
-pub fn frame_distance_reference<T: Real>(geometry: &Geometry<T>, i: usize, j: usize, beta: f64) -> f64 {
+pub fn frame_distance_reference<T: Real>(
+    geometry: &Geometry<T>,
+    i: usize,
+    j: usize,
+    beta: f64,
+) -> f64 {
     let g = geometry.relative(i, j);
-    let still = Se3 { translation: g.translation, ..Se3::identity() };
+    let still = Se3 {
+        translation: g.translation,
+        ..Se3::identity()
+    };
     let mut sums = Sums::default();
     for (motion, share) in [(g, beta), (still, 1.0 - beta)] {
         for (n, d) in geometry.disparity[i].iter().enumerate() {
-            let (u, v) = ((n % geometry.grid.width) as f64, (n / geometry.grid.width) as f64);
+            let (u, v) = (
+                (n % geometry.grid.width) as f64,
+                (n / geometry.grid.width) as f64,
+            );
             let p = project(&motion, &geometry.lens, 1.0, u, v, d.f64());
             sums.total += share;
             if p.z > MIN_DEPTH {
@@ -182,15 +212,25 @@ impl Rays {
         let u: Vec<f32> = (0..len).map(|n| (n % width) as f32).collect();
         let v: Vec<f32> = (0..len).map(|n| (n / width) as f32).collect();
         Self {
-            x: u.iter().map(|&u| ((f64::from(u) - lens.cx) / lens.fx) as f32).collect(),
-            y: v.iter().map(|&v| ((f64::from(v) - lens.cy) / lens.fy) as f32).collect(),
+            x: u.iter()
+                .map(|&u| ((f64::from(u) - lens.cx) / lens.fx) as f32)
+                .collect(),
+            y: v.iter()
+                .map(|&v| ((f64::from(v) - lens.cy) / lens.fy) as f32)
+                .collect(),
             u,
             v,
         }
     }
 
     #[inline(always)]
-    fn sum(&self, g: &Se3<f32>, focal: [f32; 2], centre: [f32; 2], disparity: &[f32]) -> (f64, f64) {
+    fn sum(
+        &self,
+        g: &Se3<f32>,
+        focal: [f32; 2],
+        centre: [f32; 2],
+        disparity: &[f32],
+    ) -> (f64, f64) {
         let (r, t) = (&g.rotation, &g.translation);
         let (mut motion, mut valid) = (0.0_f64, 0.0_f64);
         for start in (0..disparity.len()).step_by(LANES) {
@@ -200,7 +240,13 @@ impl Rays {
                 lane[..count].copy_from_slice(&plane[start..start + count]);
                 lane
             };
-            let (rx, ry, u, v, d) = (load(&self.x), load(&self.y), load(&self.u), load(&self.v), load(disparity));
+            let (rx, ry, u, v, d) = (
+                load(&self.x),
+                load(&self.y),
+                load(&self.u),
+                load(&self.v),
+                load(disparity),
+            );
             let (mut length, mut ok) = ([0.0_f32; LANES], [0.0_f32; LANES]);
             for l in 0..LANES {
                 let x = r[(0, 0)] * rx[l] + r[(0, 1)] * ry[l] + r[(0, 2)] + t[0] * d[l];
@@ -208,7 +254,10 @@ impl Rays {
                 let z = r[(2, 0)] * rx[l] + r[(2, 1)] * ry[l] + r[(2, 2)] + t[2] * d[l];
                 let seen = z > MIN_DEPTH as f32 && l < count;
                 let iz = 1.0 / if seen { z } else { 1.0 };
-                let (du, dv) = (focal[0] * x * iz + centre[0] - u[l], focal[1] * y * iz + centre[1] - v[l]);
+                let (du, dv) = (
+                    focal[0] * x * iz + centre[0] - u[l],
+                    focal[1] * y * iz + centre[1] - v[l],
+                );
                 let on = if seen { 1.0 } else { 0.0 };
                 length[l] = (du * du + dv * dv).sqrt() * on;
                 ok[l] = on;
@@ -224,15 +273,29 @@ impl Rays {
         (motion, valid)
     }
 
-    fn distance(&self, geometry: &Geometry<f32>, i: usize, j: usize, beta: f64, level: Level) -> f64 {
+    fn distance(
+        &self,
+        geometry: &Geometry<f32>,
+        i: usize,
+        j: usize,
+        beta: f64,
+        level: Level,
+    ) -> f64 {
         let g = geometry.relative(i, j).cast::<f32>();
-        let still = Se3 { translation: g.translation, ..Se3::identity() };
+        let still = Se3 {
+            translation: g.translation,
+            ..Se3::identity()
+        };
         let lens = geometry.lens;
-        let (focal, centre) = ([lens.fx as f32, lens.fy as f32], [lens.cx as f32, lens.cy as f32]);
+        let (focal, centre) = (
+            [lens.fx as f32, lens.fy as f32],
+            [lens.cx as f32, lens.cy as f32],
+        );
         let disparity = geometry.disparity[i].as_slice();
         let mut sums = Sums::default();
         for (motion, share) in [(g, beta), (still, 1.0 - beta)] {
-            let (length, valid) = dispatch!(level, _s => self.sum(&motion, focal, centre, disparity));
+            let (length, valid) =
+                dispatch!(level, _s => self.sum(&motion, focal, centre, disparity));
             sums.motion += share * length;
             sums.valid += share * valid;
             sums.total += share * disparity.len() as f64;
@@ -249,10 +312,17 @@ pub fn frame_distance(geometry: &Geometry<f32>, i: usize, j: usize, beta: f64) -
 
 /// The mean of both directions for every pair given, pixels of the grid.
 #[must_use]
-pub fn symmetric_distances(geometry: &Geometry<f32>, pairs: &[(usize, usize)], beta: f64) -> Vec<f64> {
+pub fn symmetric_distances(
+    geometry: &Geometry<f32>,
+    pairs: &[(usize, usize)],
+    beta: f64,
+) -> Vec<f64> {
     let (rays, level) = (Rays::new(geometry), Level::new());
     pairs
         .par_iter()
-        .map(|&(i, j)| 0.5 * (rays.distance(geometry, i, j, beta, level) + rays.distance(geometry, j, i, beta, level)))
+        .map(|&(i, j)| {
+            0.5 * (rays.distance(geometry, i, j, beta, level)
+                + rays.distance(geometry, j, i, beta, level))
+        })
         .collect()
 }

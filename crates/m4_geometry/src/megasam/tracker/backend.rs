@@ -1,4 +1,5 @@
-//! The back end: all keyframes at once, and static pixels by how well they follow the motion of the camera.
+//! The back end: all keyframes at once, and static pixels by how well they follow the motion of the
+//! camera.
 
 use super::correspondence::{Correspondence, TrackerError};
 use super::keyframes::{Keyframes, Update};
@@ -44,8 +45,9 @@ impl Backend {
         Self { settings, graph }
     }
 
-    /// `updates` updates of all poses but the first, all disparities and, with `free_focal`, the focal length. `alpha` is the
-    /// weight of the depth prior, `None` without one. Returns the report of the last.
+    /// `updates` updates of all poses but the first, all disparities and, with `free_focal`, the
+    /// focal length. `alpha` is the weight of the depth prior, `None` without one. Returns the
+    /// report of the last.
     ///
     /// # Errors
     ///
@@ -90,12 +92,19 @@ impl Backend {
     /// [`TrackerError::Dba`] where sizes do not fit.
     pub fn observability(&self, keyframes: &Keyframes) -> Result<Observability, TrackerError> {
         let edges: Vec<&Factor<f32>> = self.graph.active.iter().map(|e| &e.factor).collect();
-        let problem = Problem { edges: &edges, eta: &keyframes.damping };
-        Ok(observability(&keyframes.geometry, &problem, &self.settings.adjustment())?)
+        let problem = Problem {
+            edges: &edges,
+            eta: &keyframes.damping,
+        };
+        Ok(observability(
+            &keyframes.geometry,
+            &problem,
+            &self.settings.adjustment(),
+        )?)
     }
 
-    /// Probability that each pixel of each keyframe is static, `[keyframes][height * width]`: the mean over the edges that
-    /// start there, at the last update; 1 for a frame without edges.
+    /// Probability that each pixel of each keyframe is static, `[keyframes][height * width]`: the
+    /// mean over the edges that start there, at the last update; 1 for a frame without edges.
     #[must_use]
     pub fn static_confidence(&self, keyframes: &Keyframes) -> Vec<Vec<f32>> {
         let len = keyframes.geometry.grid.len();

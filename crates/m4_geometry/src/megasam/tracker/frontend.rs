@@ -16,7 +16,8 @@ const INITIAL_BETA: f64 = 0.25;
 const WINDOW: usize = 25;
 /// Sources of new edges: the last 5 keyframes.
 const NEW_SOURCES: usize = 5;
-/// The choice of edges of the front end; sources, targets and the greatest number of edges are set where it is made.
+/// The choice of edges of the front end; sources, targets and the greatest number of edges are set
+/// where it is made.
 const PROXIMITY: ProximitySettings = ProximitySettings {
     first_source: 0,
     first_target: 0,
@@ -40,8 +41,8 @@ pub enum Submitted {
     Waiting,
     /// The first adjustment has been done.
     Initialised,
-    /// Adjusted; `distance_px` is that of the two keyframes before it, and `dropped` is the number in the clip of
-    /// the keyframe that turned out to be needless.
+    /// Adjusted; `distance_px` is that of the two keyframes before it, and `dropped` is the number
+    /// in the clip of the keyframe that turned out to be needless.
     Tracked {
         /// Pixels of the grid.
         distance_px: f64,
@@ -69,7 +70,13 @@ impl Frontend {
         let graph = FactorGraph::new(settings.max_factors);
         #[cfg(test)]
         let graph = graph.with_permuted_ranks(settings.python_twin);
-        Self { settings, keyframes: Keyframes::new(grid, lens), graph, initialised: false, last_accepted: None }
+        Self {
+            settings,
+            keyframes: Keyframes::new(grid, lens),
+            graph,
+            initialised: false,
+            last_accepted: None,
+        }
     }
 
     /// True after the first adjustment.
@@ -127,8 +134,8 @@ impl Frontend {
         Ok(self.keyframes)
     }
 
-    /// The first adjustment, of all keyframes there are; called by [`submit`](Self::submit) when there are
-    /// enough, and by the caller at the end of a clip in which there never were.
+    /// The first adjustment, of all keyframes there are; called by [`submit`](Self::submit) when
+    /// there are enough, and by the caller at the end of a clip in which there never were.
     ///
     /// # Errors
     ///
@@ -138,7 +145,12 @@ impl Frontend {
         let count = self.keyframes.len();
         check_count(count)?;
         let frames = self.keyframes.frame.clone();
-        self.graph.add(&neighbourhood(0, count, 3), &self.keyframes.geometry, &frames, false);
+        self.graph.add(
+            &neighbourhood(0, count, 3),
+            &self.keyframes.geometry,
+            &frames,
+            false,
+        );
         for _ in 0..s.initial_updates {
             self.update(1, Free::Poses, source)?;
         }
@@ -148,7 +160,8 @@ impl Frontend {
             max_factors: s.max_factors,
             ..PROXIMITY
         };
-        self.graph.add_proximity(&proximity, &self.keyframes.geometry, &frames, false);
+        self.graph
+            .add_proximity(&proximity, &self.keyframes.geometry, &frames, false);
         for free in [Free::Poses, Free::PosesAndDepth] {
             for _ in 0..s.initial_updates {
                 self.update(1, free, source)?;
@@ -171,13 +184,17 @@ impl Frontend {
             ..PROXIMITY
         };
         let frames = self.keyframes.frame.clone();
-        self.graph.add_proximity(&proximity, &self.keyframes.geometry, &frames, true);
+        self.graph
+            .add_proximity(&proximity, &self.keyframes.geometry, &frames, true);
         self.keyframes.reset_to_sensor(count - 1);
         for _ in 0..s.first_updates {
             self.update_window(source)?;
         }
         if count < 3 {
-            return Ok(Submitted::Tracked { distance_px: f64::INFINITY, dropped: None });
+            return Ok(Submitted::Tracked {
+                distance_px: f64::INFINITY,
+                dropped: None,
+            });
         }
         let (a, b) = (count - 3, count - 2);
         let g = &self.keyframes.geometry;
@@ -191,23 +208,42 @@ impl Frontend {
                 self.update_window(source)?;
             }
         }
-        Ok(Submitted::Tracked { distance_px, dropped })
+        Ok(Submitted::Tracked {
+            distance_px,
+            dropped,
+        })
     }
 
     /// One update of the poses from the second source of an active edge on.
     fn update_window(&mut self, source: &mut dyn Correspondence) -> Result<(), TrackerError> {
-        let first = self.graph.active.iter().map(|e| e.factor.source).min().unwrap_or(0);
+        let first = self
+            .graph
+            .active
+            .iter()
+            .map(|e| e.factor.source)
+            .min()
+            .unwrap_or(0);
         self.update(first + 1, Free::PosesAndDepth, source)
     }
 
-    fn update(&mut self, first: usize, free: Free, source: &mut dyn Correspondence) -> Result<(), TrackerError> {
+    fn update(
+        &mut self,
+        first: usize,
+        free: Free,
+        source: &mut dyn Correspondence,
+    ) -> Result<(), TrackerError> {
         let s = &self.settings;
         let update = Update {
-            options: DbaOptions { free, ..s.adjustment() },
+            options: DbaOptions {
+                free,
+                ..s.adjustment()
+            },
             window: first.max(1).min(self.keyframes.len())..self.keyframes.len(),
             inactive_from: Some(first.saturating_sub(3)),
             batch: None,
         };
-        update.run(&mut self.keyframes, &mut self.graph, source).map(drop)
+        update
+            .run(&mut self.keyframes, &mut self.graph, source)
+            .map(drop)
     }
 }

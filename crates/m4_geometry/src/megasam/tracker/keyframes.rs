@@ -1,4 +1,5 @@
-//! The frames whose geometry is adjusted, and one update of it: project, let the correspondences be revised, adjust.
+//! The frames whose geometry is adjusted, and one update of it: project, let the correspondences be
+//! revised, adjust.
 
 use super::correspondence::{Correspondence, EdgeRevision, Revision, SourceRevision, TrackerError};
 use crate::dba::{DbaOptions, DbaReport, Factor, Geometry, Grid, Pinhole, Problem, adjust};
@@ -42,7 +43,13 @@ impl Keyframes {
     #[must_use]
     pub fn new(grid: Grid, lens: Pinhole<f64>) -> Self {
         Self {
-            geometry: Geometry { grid, lens, poses: Vec::new(), disparity: Vec::new(), sensor: Vec::new() },
+            geometry: Geometry {
+                grid,
+                lens,
+                poses: Vec::new(),
+                disparity: Vec::new(),
+                sensor: Vec::new(),
+            },
             frame: Vec::new(),
             time_s: Vec::new(),
             damping: Vec::new(),
@@ -61,8 +68,8 @@ impl Keyframes {
         self.frame.is_empty()
     }
 
-    /// Adds a frame at `pose`. Its disparity is the sensor's, far away where that is unknown; a frame of which nothing is
-    /// known gets the mean disparity of frame `like`, or 1 without one.
+    /// Adds a frame at `pose`. Its disparity is the sensor's, far away where that is unknown; a
+    /// frame of which nothing is known gets the mean disparity of frame `like`, or 1 without one.
     pub fn push(&mut self, input: &FrameInput, pose: Se3<f64>, like: Option<usize>) {
         let mean = like.map_or(1.0, |k| {
             let plane = &self.geometry.disparity[k];
@@ -137,21 +144,36 @@ impl Update {
             source.change(&changes)?;
         }
         revise(keyframes, graph, source, self.batch)?;
-        let inactive = graph
-            .inactive
-            .iter()
-            .filter(|e| self.inactive_from.is_some_and(|from| e.factor.source >= from && e.factor.target >= from));
+        let inactive = graph.inactive.iter().filter(|e| {
+            self.inactive_from
+                .is_some_and(|from| e.factor.source >= from && e.factor.target >= from)
+        });
         let edges: Vec<&Factor<f32>> = inactive.chain(&graph.active).map(|e| &e.factor).collect();
-        let eta: Vec<Vec<f32>> =
-            keyframes.damping.iter().map(|plane| plane.iter().map(|&x| x + LEAST_DAMPING).collect()).collect();
-        let problem = Problem { edges: &edges, eta: &eta };
-        let report = adjust(&mut keyframes.geometry, &problem, self.window.clone(), &self.options)?;
+        let eta: Vec<Vec<f32>> = keyframes
+            .damping
+            .iter()
+            .map(|plane| plane.iter().map(|&x| x + LEAST_DAMPING).collect())
+            .collect();
+        let problem = Problem {
+            edges: &edges,
+            eta: &eta,
+        };
+        let report = adjust(
+            &mut keyframes.geometry,
+            &problem,
+            self.window.clone(),
+            &self.options,
+        )?;
         graph.grow_older();
         let finite = |x: &[f64]| x.iter().all(|x| x.is_finite());
         let poses = keyframes.geometry.poses[self.window.clone()].iter();
-        let sound = poses.into_iter().all(|p| finite(p.rotation.as_slice()) && finite(p.translation.as_slice()));
+        let sound = poses
+            .into_iter()
+            .all(|p| finite(p.rotation.as_slice()) && finite(p.translation.as_slice()));
         if !sound || !keyframes.geometry.lens.fx.is_finite() {
-            return Err(TrackerError::Diverged { keyframes: keyframes.len() });
+            return Err(TrackerError::Diverged {
+                keyframes: keyframes.len(),
+            });
         }
         Ok(report)
     }
@@ -178,10 +200,20 @@ fn revise(
     let mut groups: Vec<_> = sources.into_iter().zip(groups).collect();
     let size = batch.unwrap_or(groups.len()).max(1);
     for part in groups.chunks_mut(size) {
-        let ends: Vec<(usize, usize)> = part.iter().flat_map(|(_, edges)| edges.iter().map(|e| e.ends())).collect();
-        let planes: Vec<[Vec<f32>; 2]> = ends.par_iter().map(|&(i, j)| projected_planes(geometry, i, j)).collect();
+        let ends: Vec<(usize, usize)> = part
+            .iter()
+            .flat_map(|(_, edges)| edges.iter().map(|e| e.ends()))
+            .collect();
+        let planes: Vec<[Vec<f32>; 2]> = ends
+            .par_iter()
+            .map(|&(i, j)| projected_planes(geometry, i, j))
+            .collect();
         let mut planes = planes.into_iter();
-        let mut revision = Revision { grid: geometry.grid, edges: Vec::new(), sources: Vec::new() };
+        let mut revision = Revision {
+            grid: geometry.grid,
+            edges: Vec::new(),
+            sources: Vec::new(),
+        };
         for (frame, edges) in part.iter_mut() {
             let begin = revision.edges.len();
             for (edge, projected_px) in edges.iter_mut().zip(&mut planes) {

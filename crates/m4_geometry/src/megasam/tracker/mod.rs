@@ -10,9 +10,10 @@
 //! ```
 //!
 //! Source: docs/spec/front-end.md 1.5 and 1.6; MegaSaM (Li et al. 2025), section 3. What measures
-//! correspondences is behind the trait [`Correspondence`]: a network revises its answer from where the present geometry
-//! projects; optical flow would be computed once per pair. Poses inside map world to
-//! camera and positions are pixels of the grid (see [`crate::dba`]); [`Tracked::c2w`] is the border.
+//! correspondences is behind the trait [`Correspondence`]: a network revises its answer from where
+//! the present geometry projects; optical flow would be computed once per pair. Poses inside map
+//! world to camera and positions are pixels of the grid (see [`crate::dba`]); [`Tracked::c2w`] is
+//! the border.
 
 mod backend;
 mod correspondence;
@@ -22,7 +23,9 @@ mod track;
 
 use crate::dba::{DbaOptions, MIN_DEPTH};
 pub use backend::Backend;
-pub use correspondence::{Correspondence, CorrespondenceError, EdgeRevision, Revision, SourceRevision, TrackerError};
+pub use correspondence::{
+    Correspondence, CorrespondenceError, EdgeRevision, Revision, SourceRevision, TrackerError,
+};
 pub use frontend::{Frontend, Submitted};
 pub use keyframes::{FrameInput, Keyframes};
 pub use track::{Clip, PUBLISHED_TIME_GUARD, Tracked, fill, interpolate_pose, neighbours, track};
@@ -60,7 +63,8 @@ pub struct TrackerSettings {
     /// Least scaled depth of a point that counts: 0.25.
     pub min_depth: f64,
     /// As the program that the fixtures come from: the Python twin of the published solver
-    /// ([`crate::dba::DbaOptions::python_twin`]), and edges that retire by the permutation of their ages.
+    /// ([`crate::dba::DbaOptions::python_twin`]), and edges that retire by the permutation of their
+    /// ages.
     #[cfg(test)]
     pub(crate) python_twin: bool,
     /// False keeps the focal length whatever can be seen: true.

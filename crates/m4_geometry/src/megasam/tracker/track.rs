@@ -1,5 +1,5 @@
-//! The whole way from frames to the geometry of all of them; frames between keyframes get a pose by interpolation, refined
-//! against the neighbouring keyframes.
+//! The whole way from frames to the geometry of all of them; frames between keyframes get a pose by
+//! interpolation, refined against the neighbouring keyframes.
 
 use super::TrackerSettings;
 use super::backend::Backend;
@@ -27,8 +27,8 @@ pub struct Clip<'a> {
 /// The geometry of a clip; lists are `[frames]`.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Tracked {
-    /// World to camera, disparities and lens, in the tracker's conventions ([`crate::dba`]). The first camera is the
-    /// origin.
+    /// World to camera, disparities and lens, in the tracker's conventions ([`crate::dba`]). The
+    /// first camera is the origin.
     pub geometry: Geometry<f32>,
     /// Probability that each pixel is static, `[frames][height * width]`, 0..=1.
     pub static_confidence: Vec<Vec<f32>>,
@@ -56,8 +56,8 @@ impl Tracked {
 ///
 /// # Errors
 ///
-/// [`TrackerError`] for too few frames, frames out of order, failing correspondences, a useless state, or when the
-/// user stops.
+/// [`TrackerError`] for too few frames, frames out of order, failing correspondences, a useless
+/// state, or when the user stops.
 pub fn track(
     clip: &Clip<'_>,
     source: &mut dyn Correspondence,
@@ -84,13 +84,27 @@ pub fn track(
     let alpha = observability.prior_alpha(settings.low_parallax_alpha);
     let mut backend = Backend::new(&keyframes, *settings);
     let updates = settings.backend_updates;
-    backend.run(&mut keyframes, source, updates, focal_adjusted, alpha, progress)?;
+    backend.run(
+        &mut keyframes,
+        source,
+        updates,
+        focal_adjusted,
+        alpha,
+        progress,
+    )?;
     backend.finish(source)?;
 
     let poses = fill(&keyframes, clip.frames, settings, source, progress)?;
     let mut all = everything(&keyframes, clip.frames, &poses);
     let mut backend = Backend::new(&all, *settings);
-    let report = backend.run(&mut all, source, settings.final_updates, false, alpha, progress)?;
+    let report = backend.run(
+        &mut all,
+        source,
+        settings.final_updates,
+        false,
+        alpha,
+        progress,
+    )?;
     let static_confidence = backend.static_confidence(&all);
     backend.finish(source)?;
     Ok(Tracked {
@@ -126,7 +140,14 @@ fn probe(
 ) -> Result<Observability, TrackerError> {
     let mut copy = keyframes.clone();
     let mut backend = Backend::new(&copy, *settings);
-    backend.run(&mut copy, source, settings.probe_updates, false, Some(PROBE_ALPHA), progress)?;
+    backend.run(
+        &mut copy,
+        source,
+        settings.probe_updates,
+        false,
+        Some(PROBE_ALPHA),
+        progress,
+    )?;
     let seen = backend.observability(&copy)?;
     backend.finish(source)?;
     Ok(seen)
@@ -150,8 +171,8 @@ fn everything(keyframes: &Keyframes, frames: &[FrameInput], poses: &[Se3<f64>]) 
 /// Frames that are placed at once: 16.
 const BATCH: usize = 16;
 
-/// The pose of every frame of `frames`, world to camera: that of the keyframe, or one placed between its neighbours.
-/// Depth and poses of the keyframes stay as they are.
+/// The pose of every frame of `frames`, world to camera: that of the keyframe, or one placed
+/// between its neighbours. Depth and poses of the keyframes stay as they are.
 ///
 /// # Errors
 ///
@@ -191,7 +212,10 @@ pub fn fill(
             graph.add(pairs, &state.geometry, &state.frame, false);
         }
         let update = Update {
-            options: DbaOptions { free: Free::Poses, ..settings.adjustment() },
+            options: DbaOptions {
+                free: Free::Poses,
+                ..settings.adjustment()
+            },
             window: count..state.len(),
             inactive_from: None,
             batch: None,
@@ -206,7 +230,12 @@ pub fn fill(
         }
         state.truncate(count);
         let placed = ((done + 1) * BATCH).min(missing.len());
-        progress.update("placing frames between keyframes", placed, missing.len(), "");
+        progress.update(
+            "placing frames between keyframes",
+            placed,
+            missing.len(),
+            "",
+        );
     }
     Ok(poses.into_iter().flatten().collect())
 }
@@ -214,17 +243,17 @@ pub fn fill(
 /// The guard of the published code, in its unit of time (frames).
 pub const PUBLISHED_TIME_GUARD: f64 = 1e-3;
 
-/// The keyframes around instant `time`: the last one not later (or the first), and the one after it (or the same at
-/// the end). `times` ascends and is not empty.
+/// The keyframes around instant `time`: the last one not later (or the first), and the one after it
+/// (or the same at the end). `times` ascends and is not empty.
 #[must_use]
 pub fn neighbours(times: &[f64], time: f64) -> (usize, usize) {
     let before = times.partition_point(|&t| t <= time).saturating_sub(1);
     (before, (before + 1).min(times.len() - 1))
 }
 
-/// Follows the screw motion from one keyframe to the next. Before the first and after the last keyframe the pose is
-/// that keyframe's. `guard` is added to the time between keyframes: 0 passes through both, the published code has
-/// [`PUBLISHED_TIME_GUARD`]. All poses map world to camera.
+/// Follows the screw motion from one keyframe to the next. Before the first and after the last
+/// keyframe the pose is that keyframe's. `guard` is added to the time between keyframes: 0 passes
+/// through both, the published code has [`PUBLISHED_TIME_GUARD`]. All poses map world to camera.
 #[must_use]
 pub fn interpolate_pose(times: &[f64], poses: &[Se3<f64>], time: f64, guard: f64) -> Se3<f64> {
     let (a, b) = neighbours(times, time);

@@ -1,10 +1,12 @@
-//! The tables as text and as binary files; in these counts u64, identifiers of cameras and images u32, numbers f64, all little-endian.
+//! The tables as text and as binary files; in these counts u64, identifiers of cameras and images
+//! u32, numbers f64, all little-endian.
 
 use super::tables::{ColmapCamera, ColmapImage, ColmapPoint, PlacedError, damaged};
 use crate::Fault;
 use std::str::{FromStr, SplitAsciiWhitespace};
 
-/// COLMAP's models in the order of their numbers, each with how many parameters it has (`colmap/sensor/models.h`, 4.2).
+/// COLMAP's models in the order of their numbers, each with how many parameters it has
+/// (`colmap/sensor/models.h`, 4.2).
 const MODELS: [(&str, usize); 18] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
@@ -76,10 +78,19 @@ pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, PlacedError> {
         let known = usize::try_from(model).ok().and_then(|k| MODELS.get(k));
         let &(name, len) = known.ok_or_else(|| {
             let what = format!("its lens is of the unknown model {model}");
-            (format!("camera {id}"), Fault::unsupported(what, "undistort the images (`colmap image_undistorter`)"))
+            (
+                format!("camera {id}"),
+                Fault::unsupported(what, "undistort the images (`colmap image_undistorter`)"),
+            )
         })?;
         let parameters: Vec<f64> = (0..len).map(|_| from.f64()).collect::<Result<_, _>>()?;
-        Ok(ColmapCamera { id, model: name.to_owned(), width, height, parameters })
+        Ok(ColmapCamera {
+            id,
+            model: name.to_owned(),
+            width,
+            height,
+            parameters,
+        })
     })
 }
 
@@ -92,7 +103,13 @@ pub fn read_images(bytes: &[u8]) -> Result<Vec<ColmapImage>, PlacedError> {
         let name = from.name()?;
         let seen = from.u64()?;
         from.skip(seen, 24)?;
-        Ok(ColmapImage { id, rotation, translation, camera, name })
+        Ok(ColmapImage {
+            id,
+            rotation,
+            translation,
+            camera,
+            name,
+        })
     })
 }
 
@@ -109,7 +126,10 @@ pub fn read_points(bytes: &[u8]) -> Result<Vec<ColmapPoint>, PlacedError> {
 }
 
 /// The rows of a table: as many as its first number says, to the end of the file.
-fn table<T>(bytes: &[u8], row: impl Fn(&mut Cursor<'_>) -> Result<T, PlacedError>) -> Result<Vec<T>, PlacedError> {
+fn table<T>(
+    bytes: &[u8],
+    row: impl Fn(&mut Cursor<'_>) -> Result<T, PlacedError>,
+) -> Result<Vec<T>, PlacedError> {
     let mut from = Cursor { bytes, at: 0 };
     let count = from.u64()?;
     let mut rows = Vec::new();
@@ -168,7 +188,9 @@ impl<'a> Cursor<'a> {
 
     /// `count` records of `width` bytes.
     fn skip(&mut self, count: u64, width: u64) -> Result<(), PlacedError> {
-        let len = count.checked_mul(width).and_then(|n| usize::try_from(n).ok());
+        let len = count
+            .checked_mul(width)
+            .and_then(|n| usize::try_from(n).ok());
         let len = len.ok_or_else(|| self.damaged(format!("a list of {count} records")))?;
         self.take(len).map(|_| ())
     }
@@ -198,7 +220,13 @@ pub fn read_cameras_text(text: &str) -> Result<Vec<ColmapCamera>, PlacedError> {
         let id = words.next("CAMERA_ID")?;
         let model: String = words.next("MODEL")?;
         let (width, height) = (words.next("WIDTH")?, words.next("HEIGHT")?);
-        rows.push(ColmapCamera { id, model, width, height, parameters: words.rest("PARAMS")? });
+        rows.push(ColmapCamera {
+            id,
+            model,
+            width,
+            height,
+            parameters: words.rest("PARAMS")?,
+        });
     }
     Ok(rows)
 }
@@ -213,7 +241,10 @@ pub fn read_images_text(text: &str) -> Result<Vec<ColmapImage>, PlacedError> {
         let mut words = Words::new(number, line);
         let id = words.next("IMAGE_ID")?;
         let mut pose = [0.0; 7];
-        for (v, name) in pose.iter_mut().zip(["QW", "QX", "QY", "QZ", "TX", "TY", "TZ"]) {
+        for (v, name) in pose
+            .iter_mut()
+            .zip(["QW", "QX", "QY", "QZ", "TX", "TY", "TZ"])
+        {
             *v = words.next(name)?;
         }
         let [w, x, y, z, a, b, c] = pose;
@@ -244,7 +275,10 @@ struct Words<'a> {
 
 impl<'a> Words<'a> {
     fn new(line: usize, text: &'a str) -> Self {
-        Self { line, words: text.split_ascii_whitespace() }
+        Self {
+            line,
+            words: text.split_ascii_whitespace(),
+        }
     }
 
     fn damaged(&self, reason: String) -> PlacedError {
@@ -254,13 +288,17 @@ impl<'a> Words<'a> {
     fn next<T: FromStr>(&mut self, what: &str) -> Result<T, PlacedError> {
         let word = self.words.next();
         let word = word.ok_or_else(|| self.damaged(format!("{what} is missing")))?;
-        word.parse().map_err(|_| self.damaged(format!("{what} is {word:?}")))
+        word.parse()
+            .map_err(|_| self.damaged(format!("{what} is {word:?}")))
     }
 
     fn rest<T: FromStr>(&mut self, what: &str) -> Result<Vec<T>, PlacedError> {
         let mut all = Vec::new();
         while let Some(word) = self.words.next() {
-            all.push(word.parse().map_err(|_| self.damaged(format!("{what} holds {word:?}")))?);
+            all.push(
+                word.parse()
+                    .map_err(|_| self.damaged(format!("{what} holds {word:?}")))?,
+            );
         }
         Ok(all)
     }

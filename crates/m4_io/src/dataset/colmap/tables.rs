@@ -29,7 +29,8 @@ pub struct ColmapCamera {
     pub width: u64,
     /// Rows of the images.
     pub height: u64,
-    /// Focal lengths and principal point in pixels (from the image's corner), then distortion, in the order of the model.
+    /// Focal lengths and principal point in pixels (from the image's corner), then distortion, in
+    /// the order of the model.
     pub parameters: Vec<f64>,
 }
 
@@ -55,12 +56,16 @@ impl ColmapImage {
         let q = Quaternion::new(w, x, y, z);
         let numbers = self.translation.iter().all(|v| v.is_finite());
         if !(numbers && q.norm().is_finite() && q.norm() > 1e-9) {
-            let what =
-                format!("the pose is {:?} {:?}; a rotation and a place were expected", self.rotation, self.translation);
+            let what = format!(
+                "the pose is {:?} {:?}; a rotation and a place were expected",
+                self.rotation, self.translation
+            );
             return Err(Fault::bad(what, HINT));
         }
         let w2c = Se3 {
-            rotation: UnitQuaternion::new_normalize(q).to_rotation_matrix().into_inner(),
+            rotation: UnitQuaternion::new_normalize(q)
+                .to_rotation_matrix()
+                .into_inner(),
             translation: Vector3::from(self.translation),
         };
         Ok(w2c.inverse())
@@ -97,7 +102,9 @@ impl ColmapTables {
                 lenses.len() - 1
             });
             let w2c = camera.w2c();
-            let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(w2c.rotation));
+            let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
+                w2c.rotation,
+            ));
             ColmapImage {
                 id: i,
                 rotation: [q.w, q.i, q.j, q.k],
@@ -119,7 +126,8 @@ impl ColmapTables {
     }
 }
 
-/// Reads `cameras` and `images` of a folder as they are, lenses of every model: the binary files where they are, else the text.
+/// Reads `cameras` and `images` of a folder as they are, lenses of every model: the binary files
+/// where they are, else the text.
 pub fn read_tables(folder: &Path) -> Result<ColmapTables, ReadError> {
     Ok(if folder.join("cameras.bin").exists() {
         ColmapTables {
@@ -139,7 +147,9 @@ pub fn read_points(folder: &Path) -> Result<Vec<ColmapPoint>, ReadError> {
     parse(&folder.join("points3D.bin"), parse::read_points)
 }
 
-fn utf8<T>(parse: impl Fn(&str) -> Result<T, PlacedError>) -> impl Fn(&[u8]) -> Result<T, PlacedError> {
+fn utf8<T>(
+    parse: impl Fn(&str) -> Result<T, PlacedError>,
+) -> impl Fn(&[u8]) -> Result<T, PlacedError> {
     move |bytes| parse(files::utf8(bytes).map_err(|(at, fault)| (format!("byte {at}"), fault))?)
 }
 
@@ -149,7 +159,11 @@ fn parse<T>(path: &Path, parse: impl Fn(&[u8]) -> Result<T, PlacedError>) -> Res
 }
 
 /// Writes the three binary files and reads them back.
-pub(super) fn write_model(folder: &Path, tables: &ColmapTables, points: &[ColmapPoint]) -> Result<(), WriteError> {
+pub(super) fn write_model(
+    folder: &Path,
+    tables: &ColmapTables,
+    points: &[ColmapPoint],
+) -> Result<(), WriteError> {
     fs::create_dir_all(folder).map_err(|e| WriteError::io(folder, e))?;
     for (name, bytes) in [
         ("cameras.bin", parse::cameras(&tables.cameras)),

@@ -6,7 +6,8 @@
 //! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of static regions (error -1, no track)
 //! ```
 //!
-//! All of it is written to a folder beside its place, read back, and then gets its place ([`crate::results`]).
+//! All of it is written to a folder beside its place, read back, and then gets its place
+//! ([`crate::results`]).
 //!
 //! The dynamic part is 0 in the masks and left out of the points: readers rebuild the static part.
 
@@ -22,16 +23,26 @@ use std::path::Path;
 /// Most points: the order of what COLMAP itself makes of a few hundred images.
 const MAX_POINTS: usize = 100_000;
 
-/// Writes the training frames `capture` into the folder `out`, where `images`, `masks` and `sparse` are replaced
-/// if they are of an earlier export; on failure nothing is changed.
-pub fn write(out: &Path, capture: &Capture, progress: &dyn Progress) -> Result<Written, WriteError> {
+/// Writes the training frames `capture` into the folder `out`, where `images`, `masks` and `sparse`
+/// are replaced if they are of an earlier export; on failure nothing is changed.
+pub fn write(
+    out: &Path,
+    capture: &Capture,
+    progress: &dyn Progress,
+) -> Result<Written, WriteError> {
     check(out, capture)?;
     let mut results = ResultFolder::open(out, Kind::Colmap)?;
     results.check_free(["images", "masks", "sparse"])?;
     let next = results.begin()?;
     let name = |i: usize| format!("{i:05}.png");
     let stopped = || WriteError::cancelled(out);
-    in_parallel("write frames", &capture.frames, progress, stopped, |i, frame| write_frame(&next, &name(i), frame))?;
+    in_parallel(
+        "write frames",
+        &capture.frames,
+        progress,
+        stopped,
+        |i, frame| write_frame(&next, &name(i), frame),
+    )?;
     let points = static_points(capture);
     let cameras: Vec<_> = capture.frames.iter().map(|f| f.camera).collect();
     let tables = ColmapTables::new(&cameras, (0..cameras.len()).map(name));
@@ -51,9 +62,17 @@ fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
     }
     let last = capture.time_frames.max(2) as f64 - 1.0;
     for (i, frame) in capture.frames.iter().enumerate() {
-        let bad = |what: String| Err(WriteError::bad(out, format!("frame {i} ({}): {what}", frame.name)));
+        let bad = |what: String| {
+            Err(WriteError::bad(
+                out,
+                format!("frame {i} ({}): {what}", frame.name),
+            ))
+        };
         if !(0.0..=last).contains(&frame.t) {
-            return bad(format!("it was taken at t = {}; 0 to {last} frames were expected", frame.t));
+            return bad(format!(
+                "it was taken at t = {}; 0 to {last} frames were expected",
+                frame.t
+            ));
         }
         let depth = frame.depth.as_ref().map(|d| d.size());
         let mask = frame.mask.as_ref().map(|m| m.size());
@@ -61,20 +80,28 @@ fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
             return bad("its depth map or mask has no pixels".to_owned());
         }
         let camera = frame.camera;
-        let seen = SourceFrame { camera, t: frame.t, exposure: Exposure::IDENTITY };
+        let seen = SourceFrame {
+            camera,
+            t: frame.t,
+            exposure: Exposure::IDENTITY,
+        };
         if !usable(&seen) {
             return bad(format!("its camera is none: {camera:?}"));
         }
         let k = &camera.intrinsics;
         let (w, h) = frame.rgb.size();
         if (w, h) != (k.width, k.height) {
-            return bad(format!("its image is {w} x {h} pixels and its camera {} x {}", k.width, k.height));
+            return bad(format!(
+                "its image is {w} x {h} pixels and its camera {} x {}",
+                k.width, k.height
+            ));
         }
     }
     Ok(())
 }
 
-/// Points of static pixels with known depth, at most [`MAX_POINTS`], spread evenly over frames and pixels.
+/// Points of static pixels with known depth, at most [`MAX_POINTS`], spread evenly over frames and
+/// pixels.
 fn static_points(capture: &Capture) -> Vec<ColmapPoint> {
     let with_depth = capture.frames.iter().filter(|f| f.depth.is_some()).count();
     let mut points = Vec::new();
@@ -119,7 +146,11 @@ fn static_points(capture: &Capture) -> Vec<ColmapPoint> {
 }
 
 fn write_frame(folder: &Path, name: &str, frame: &CaptureFrame) -> Result<(), WriteError> {
-    fn same<T>(path: &Path, back: Result<T, ReadError>, same: impl Fn(&T) -> bool) -> Result<(), WriteError> {
+    fn same<T>(
+        path: &Path,
+        back: Result<T, ReadError>,
+        same: impl Fn(&T) -> bool,
+    ) -> Result<(), WriteError> {
         match back {
             Ok(back) if same(&back) => Ok(()),
             Ok(_) => Err(WriteError::verify(path, "its pixels differ")),
@@ -129,19 +160,32 @@ fn write_frame(folder: &Path, name: &str, frame: &CaptureFrame) -> Result<(), Wr
     let path = folder.join("images").join(name);
     image::write_rgb(&path, &frame.rgb)?;
     same(&path, image::read_rgb(&path), |back| *back == frame.rgb)?;
-    let Some(mask) = &frame.mask else { return Ok(()) };
+    let Some(mask) = &frame.mask else {
+        return Ok(());
+    };
     let path = folder.join(format!("masks/{name}.png"));
     let ((w, h), (mw, mh)) = (frame.rgb.size(), mask.size());
     // readers expect the size of the image, and white where they train
-    let is_static = Plane::from_fn(w, h, |x, y| if mask.at(x * mw / w, y * mh / h) { 0 } else { 255 });
+    let is_static = Plane::from_fn(w, h, |x, y| {
+        if mask.at(x * mw / w, y * mh / h) {
+            0
+        } else {
+            255
+        }
+    });
     image::write_mask(&path, &is_static)?;
-    same(&path, image::read_mask(&path), |back| back.to_mask() == is_static)
+    same(&path, image::read_mask(&path), |back| {
+        back.to_mask() == is_static
+    })
 }
 
 fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
     let mut losses = vec![Loss::Dropped("when the images were taken".to_owned())];
     if capture.frames.iter().any(|f| f.depth.is_some()) {
-        losses.push(Loss::Dropped(format!("depth, but for {}", plural(points, "point"))));
+        losses.push(Loss::Dropped(format!(
+            "depth, but for {}",
+            plural(points, "point")
+        )));
     }
     if capture.tracks.is_some() {
         losses.push(Loss::Dropped("tracks".to_owned()));

@@ -14,20 +14,25 @@
 //!
 //! **What is converted, here and nowhere else.**
 //!
-//! * Poses: `cam_c2w` is camera to world with OpenCV axes, as ours; `poses` is `tx ty tz qx qy qz qw`, world to camera.
-//! * Depth: z-depth in the unit of the poses; `disps` is `1 / (depth + 1e-6)`. Unknown (0 here) is what MegaSaM itself
-//!   takes for unknown: below 0.01, or in the clipped form at the lower end, or NaN. The unit is a metre times a
-//!   factor that MegaSaM divides by and does not save, so a capture that is read is not metric.
-//! * `motion_prob` is **high where things are static** (it weighs the bundle adjustment). The probability of motion is
-//!   `1 - m`; a pixel is dynamic where that is above 0.7, the paper's tau_motion, after `m` was resized bilinearly to the image. Where more
-//!   than 60 % of the pixels are dynamic, the map is probably one of the other polarity, and a warning says so.
-//! * Principal point: **the numbers are taken as they are**, as measured from the image's corner, where the centre of
-//!   the first pixel is at (0.5, 0.5). MegaSaM sets `cx = W/2` and then counts pixels from their corners in some places
-//!   (normals, and Instant4D's lifting of its files) and from their centres in others (tracking, flow loss), so no
-//!   choice agrees with all of it. This one is what `W/2` means for a camera, and what the readers of these files
-//!   assume. Against the rays of the tracker it turns every camera by the same half pixel, about 0.05
-//!   degrees at 500 pixels of focal length.
-//! * Time: the files have no clock. Frames are evenly spaced at [`ImportOptions::fps`](super::ImportOptions::fps).
+//! * Poses: `cam_c2w` is camera to world with OpenCV axes, as ours; `poses` is
+//!   `tx ty tz qx qy qz qw`, world to camera.
+//! * Depth: z-depth in the unit of the poses; `disps` is `1 / (depth + 1e-6)`. Unknown (0 here) is
+//!   what MegaSaM itself takes for unknown: below 0.01, or in the clipped form at the lower end, or
+//!   NaN. The unit is a metre times a factor that MegaSaM divides by and does not save, so a
+//!   capture that is read is not metric.
+//! * `motion_prob` is **high where things are static** (it weighs the bundle adjustment). The
+//!   probability of motion is `1 - m`; a pixel is dynamic where that is above 0.7, the paper's
+//!   tau_motion, after `m` was resized bilinearly to the image. Where more than 60 % of the pixels
+//!   are dynamic, the map is probably one of the other polarity, and a warning says so.
+//! * Principal point: **the numbers are taken as they are**, as measured from the image's corner,
+//!   where the centre of the first pixel is at (0.5, 0.5). MegaSaM sets `cx = W/2` and then counts
+//!   pixels from their corners in some places (normals, and Instant4D's lifting of its files) and
+//!   from their centres in others (tracking, flow loss), so no choice agrees with all of it. This
+//!   one is what `W/2` means for a camera, and what the readers of these files assume. Against the
+//!   rays of the tracker it turns every camera by the same half pixel, about 0.05 degrees at 500
+//!   pixels of focal length.
+//! * Time: the files have no clock. Frames are evenly spaced at
+//!   [`ImportOptions::fps`](super::ImportOptions::fps).
 //!
 //! Files are not trusted: see `crate::npy` for sizes, and every number is checked.
 
@@ -46,14 +51,16 @@ pub(super) fn detect(path: &Path) -> bool {
     detect_name(path) && (path.is_dir() || matches!(Npz::open(path), Ok(npz) if npz.has("cam_c2w")))
 }
 
-/// Whether it is a folder with the files of a reconstruction, or has the name of an archive (`NAME.npz`).
+/// Whether it is a folder with the files of a reconstruction, or has the name of an archive
+/// (`NAME.npz`).
 #[must_use]
 pub fn detect_name(path: &Path) -> bool {
     if path.is_dir() {
         let all = ["images.npy", "poses.npy", "intrinsics.npy"];
         return all.iter().all(|name| path.join(name).is_file());
     }
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"))
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("npz"))
 }
 
 /// Name of the file.
@@ -67,9 +74,9 @@ const MAX_DYNAMIC: f64 = 0.6;
 /// How far rounding may put a probability outside of 0 to 1.
 const ROUNDING: f64 = 1e-3;
 
-/// Where the file of the clip at `path` may be: in the folder of reconstructions itself; of `NAME_droid.npz` in
-/// `reconstructions/NAME` beside it or beside its folder (MegaSaM writes `outputs/` and `reconstructions/` side by
-/// side), else right beside it.
+/// Where the file of the clip at `path` may be: in the folder of reconstructions itself; of
+/// `NAME_droid.npz` in `reconstructions/NAME` beside it or beside its folder (MegaSaM writes
+/// `outputs/` and `reconstructions/` side by side), else right beside it.
 fn candidates(path: &Path) -> Vec<PathBuf> {
     if path.is_dir() {
         return vec![path.join(FILE)];
@@ -88,12 +95,22 @@ fn candidates(path: &Path) -> Vec<PathBuf> {
 /// `dog` of `dog_droid` and `dog_sgd_cvd_hr`.
 fn scene_name(stem: &str) -> &str {
     let ends = ["_sgd_cvd_hr", "_sgd_cvd", "_cvd", "_droid"];
-    ends.iter().find_map(|end| stem.strip_suffix(end)).unwrap_or(stem)
+    ends.iter()
+        .find_map(|end| stem.strip_suffix(end))
+        .unwrap_or(stem)
 }
 
 /// The mask of frame `frame` of `size` from the `map` of `of` numbers, row by row.
-fn mask_of(frame: usize, map: &[f64], of: (usize, usize), size: (usize, usize)) -> Result<CompactMask, Fault> {
-    if let Some(value) = map.iter().find(|m| !(-ROUNDING..=1.0 + ROUNDING).contains(*m)) {
+fn mask_of(
+    frame: usize,
+    map: &[f64],
+    of: (usize, usize),
+    size: (usize, usize),
+) -> Result<CompactMask, Fault> {
+    if let Some(value) = map
+        .iter()
+        .find(|m| !(-ROUNDING..=1.0 + ROUNDING).contains(*m))
+    {
         let what = format!("frame {frame} of the array `motion_prob` holds {value}");
         return Err(Fault::bad(what, "0 (dynamic) to 1 (static) was expected"));
     }
@@ -104,10 +121,13 @@ fn mask_of(frame: usize, map: &[f64], of: (usize, usize), size: (usize, usize)) 
         let row = |y: usize| map[y * of.0 + x0] * (1.0 - fx) + map[y * of.0 + x1] * fx;
         row(y0) * (1.0 - fy) + row(y1) * fy
     };
-    Ok(CompactMask::from_fn(size.0, size.1, |x, y| 1.0 - at(x, y) > TAU_MOTION))
+    Ok(CompactMask::from_fn(size.0, size.1, |x, y| {
+        1.0 - at(x, y) > TAU_MOTION
+    }))
 }
 
-/// The two neighbours of each of `to` pixels and the weight of the second: bilinear, by pixel centres, edges repeated.
+/// The two neighbours of each of `to` pixels and the weight of the second: bilinear, by pixel
+/// centres, edges repeated.
 fn taps(from: usize, to: usize) -> Vec<(usize, usize, f64)> {
     let last = (from - 1) as f64;
     (0..to)
@@ -180,14 +200,25 @@ mod tests {
         // motion at column x is (x + 0.5 - 4) / 8: above 0.7 from x = 9.1 on
         assert_eq!(dynamic, (0..16).map(|x| x >= 10).collect::<Vec<_>>());
         assert!(mask_of(4, &[f64::NAN], (1, 1), (8, 8)).is_err());
-        assert!(mask_of(4, &[1.5], (1, 1), (8, 8)).unwrap_err().to_string().contains("frame 4"));
+        assert!(
+            mask_of(4, &[1.5], (1, 1), (8, 8))
+                .unwrap_err()
+                .to_string()
+                .contains("frame 4")
+        );
     }
 
     #[test]
     fn motion_map_candidates_follow_megasam_folders() {
         let at = candidates(Path::new("out/outputs_cvd/dog_sgd_cvd_hr.npz"));
-        assert!(at.contains(&"out/outputs_cvd/../reconstructions/dog/motion_prob.npy".into()), "{at:?}");
-        assert_eq!(at.last().unwrap(), Path::new("out/outputs_cvd/motion_prob.npy"));
+        assert!(
+            at.contains(&"out/outputs_cvd/../reconstructions/dog/motion_prob.npy".into()),
+            "{at:?}"
+        );
+        assert_eq!(
+            at.last().unwrap(),
+            Path::new("out/outputs_cvd/motion_prob.npy")
+        );
     }
 
     #[test]

@@ -22,12 +22,20 @@ struct Clip {
 }
 
 /// Lists a `.npz` file or a folder of reconstructions; what was assumed is reported to `progress`.
-pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+pub fn list(
+    path: &Path,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Listing, ReadError> {
     let here = |cause: Fault| cause.at(path);
     given_fps(options).map_err(here)?;
     let mut input = Input::open(path, options.max_memory_bytes).map_err(here)?;
     let clip = input.clip().map_err(here)?;
-    let cameras = if matches!(input.from, Storage::Folder(_)) { input.quaternions(clip) } else { input.matrices(clip) };
+    let cameras = if matches!(input.from, Storage::Folder(_)) {
+        input.quaternions(clip)
+    } else {
+        input.matrices(clip)
+    };
     let cameras = cameras.map_err(here)?;
     let images = input.images(clip, progress).map_err(here)?;
     let depths = input.depths(path, clip, progress).map_err(here)?;
@@ -40,7 +48,13 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
             depth: Some(FrameSource::held(depth.into())),
             mask: mask.map(FrameSource::held),
             motion: motion.map(FrameSource::held),
-            ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(intrinsics), c2w, i as f64, FrameSource::held(rgb))
+            ..ListedFrame::new(
+                format!("{i:05}"),
+                Lens::pinhole(intrinsics),
+                c2w,
+                i as f64,
+                FrameSource::held(rgb),
+            )
         }
     });
     Ok(Listing::of_video(frames.collect(), clip.frames, duration_s))
@@ -59,7 +73,11 @@ struct Input {
 
 impl Input {
     fn open(path: &Path, limit_bytes: u64) -> Result<Self, Fault> {
-        let from = if path.is_dir() { Storage::Folder(path.to_path_buf()) } else { Storage::Archive(Npz::open(path)?) };
+        let from = if path.is_dir() {
+            Storage::Folder(path.to_path_buf())
+        } else {
+            Storage::Archive(Npz::open(path)?)
+        };
         Ok(Self { from, limit_bytes })
     }
 
@@ -67,10 +85,12 @@ impl Input {
     fn find(&mut self, name: &str) -> Result<Option<Array<'_>>, Fault> {
         match &mut self.from {
             Storage::Archive(npz) => npz.array(name, self.limit_bytes),
-            Storage::Folder(folder) => match open(&folder.join(format!("{name}.npy")), name, self.limit_bytes) {
-                Err(Fault::Io(e)) if e.kind() == ErrorKind::NotFound => Ok(None),
-                other => other.map(Some),
-            },
+            Storage::Folder(folder) => {
+                match open(&folder.join(format!("{name}.npy")), name, self.limit_bytes) {
+                    Err(Fault::Io(e)) if e.kind() == ErrorKind::NotFound => Ok(None),
+                    other => other.map(Some),
+                }
+            }
         }
     }
 
@@ -78,11 +98,17 @@ impl Input {
     fn array(&mut self, name: &str) -> Result<Array<'_>, Fault> {
         let has = match &self.from {
             Storage::Archive(npz) => {
-                format!("it has {}; images, depths, intrinsic and cam_c2w are needed", npz.names())
+                format!(
+                    "it has {}; images, depths, intrinsic and cam_c2w are needed",
+                    npz.names()
+                )
             }
-            Storage::Folder(_) => "images.npy, disps.npy, poses.npy and intrinsics.npy are needed".to_owned(),
+            Storage::Folder(_) => {
+                "images.npy, disps.npy, poses.npy and intrinsics.npy are needed".to_owned()
+            }
         };
-        self.find(name)?.ok_or_else(|| Fault::missing(format!("the array `{name}`"), has))
+        self.find(name)?
+            .ok_or_else(|| Fault::missing(format!("the array `{name}`"), has))
     }
 
     /// All numbers of an array of that shape, which is not large.
@@ -98,12 +124,18 @@ impl Input {
         let limit_bytes = self.limit_bytes;
         let images = self.array("images")?;
         if images.number != Number::U8 {
-            let what = format!("the array `images` holds numbers of type {:?}", images.number);
+            let what = format!(
+                "the array `images` holds numbers of type {:?}",
+                images.number
+            );
             return Err(Fault::bad(what, "save it as uint8"));
         }
         let clip = match (images.shape.as_slice(), planar) {
             (&[frames, h, w, 3], false) | (&[frames, 3, h, w], true) if frames * h * w > 0 => {
-                Clip { frames, size: (w, h) }
+                Clip {
+                    frames,
+                    size: (w, h),
+                }
             }
             (_, true) => return Err(shape_error("images", &images, "(frames, 3, height, width)")),
             (_, false) => return Err(shape_error("images", &images, "(frames, height, width, 3)")),
@@ -123,16 +155,28 @@ impl Input {
     fn matrices(&mut self, clip: Clip) -> Result<Vec<(Intrinsics, Se3<f64>)>, Fault> {
         let k = self.all("intrinsic", &[3, 3], "one matrix")?;
         let zeros = [k[1], k[3], k[6], k[7]];
-        if k[8] != 1.0 || zeros.iter().any(|v| v.is_nan() || v.abs() > 1e-6 * k[0].abs()) {
+        if k[8] != 1.0
+            || zeros
+                .iter()
+                .any(|v| v.is_nan() || v.abs() > 1e-6 * k[0].abs())
+        {
             let what = format!("the array `intrinsic` is {k:?}");
-            return Err(Fault::bad(what, "[fx, 0, cx, 0, fy, cy, 0, 0, 1] was expected (is it transposed?)"));
+            return Err(Fault::bad(
+                what,
+                "[fx, 0, cx, 0, fy, cy, 0, 0, 1] was expected (is it transposed?)",
+            ));
         }
         let lens = pinhole([k[0], k[4], k[2], k[5]], clip, "intrinsic", 0)?;
         let is = "a matrix for each of the frames of `images`";
         let m = self.all("cam_c2w", &[clip.frames, 4, 4], is)?;
         let poses = m.chunks_exact(16).enumerate();
         poses
-            .map(|(i, m)| Ok((lens, pose::of_matrix(&format!("the array `cam_c2w`, frame {i}: the matrix"), m)?)))
+            .map(|(i, m)| {
+                Ok((
+                    lens,
+                    pose::of_matrix(&format!("the array `cam_c2w`, frame {i}: the matrix"), m)?,
+                ))
+            })
             .collect()
     }
 
@@ -142,11 +186,17 @@ impl Input {
         let k = self.all("intrinsics", &[clip.frames, 4], is)?;
         let is = "tx ty tz qx qy qz qw for each of the frames of `images`";
         let p = self.all("poses", &[clip.frames, 7], is)?;
-        let frames = k.as_chunks::<4>().0.iter().zip(p.as_chunks::<7>().0).enumerate();
+        let frames = k
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .zip(p.as_chunks::<7>().0)
+            .enumerate();
         frames
             .map(|(i, (k, &[x, y, z, qx, qy, qz, qw]))| {
                 let w2c = pose::of_quaternion([x, y, z], [qw, qx, qy, qz]);
-                let w2c = w2c.map_err(|e| Fault::bad(format!("the array `poses`, frame {i}: {e}"), HINT))?;
+                let w2c = w2c
+                    .map_err(|e| Fault::bad(format!("the array `poses`, frame {i}: {e}"), HINT))?;
                 Ok((pinhole(*k, clip, "intrinsics", i)?, w2c.inverse()))
             })
             .collect()
@@ -174,7 +224,12 @@ impl Input {
         Ok(images)
     }
 
-    fn depths(&mut self, path: &Path, clip: Clip, progress: &dyn Progress) -> Result<Vec<DepthMap>, Fault> {
+    fn depths(
+        &mut self,
+        path: &Path,
+        clip: Clip,
+        progress: &dyn Progress,
+    ) -> Result<Vec<DepthMap>, Fault> {
         let folder = matches!(self.from, Storage::Folder(_));
         let name = if folder {
             "disps"
@@ -195,7 +250,12 @@ impl Input {
         };
         check_floats(name, &array)?;
         let (w, h) = clip.size;
-        check_shape(name, &array, &[clip.frames, h, w], "a map for each of the frames of `images`")?;
+        check_shape(
+            name,
+            &array,
+            &[clip.frames, h, w],
+            "a map for each of the frames of `images`",
+        )?;
         let (mut maps, mut known) = (Vec::new(), 0);
         for i in 0..clip.frames {
             step("read depth", i, clip.frames, progress)?;
@@ -207,7 +267,10 @@ impl Input {
         array.end()?;
         let share = known as f64 / (clip.frames * w * h) as f64;
         if share < 0.5 {
-            progress.warn(&format!("the depth of only {:.0} % of the pixels is known", 100.0 * share));
+            progress.warn(&format!(
+                "the depth of only {:.0} % of the pixels is known",
+                100.0 * share
+            ));
         }
         Ok(maps)
     }
@@ -243,7 +306,9 @@ fn masks(
             step("read masks", i, clip.frames, progress)?;
             let values = array.next_f64(map.0 * map.1)?;
             let mask = mask_of(i, &values, map, clip.size)?;
-            let dynamic = |x: usize, y: usize| (255.0 * (1.0 - values[y * map.0 + x]).clamp(0.0, 1.0)).round() as u8;
+            let dynamic = |x: usize, y: usize| {
+                (255.0 * (1.0 - values[y * map.0 + x]).clamp(0.0, 1.0)).round() as u8
+            };
             masks.push((mask, Plane::from_fn(map.0, map.1, dynamic)));
         }
         if array.shape[0] == clip.frames {
@@ -262,7 +327,11 @@ fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), Fault> {
     let small = (w / BLOCK, h / BLOCK);
     let size = match array.shape.as_slice() {
         // MegaSaM writes at most 1000 frames into an npz, and the maps of all
-        &[frames, mh, mw] if frames == clip.frames || (frames > clip.frames && clip.frames == 1000) => (mw, mh),
+        &[frames, mh, mw]
+            if frames == clip.frames || (frames > clip.frames && clip.frames == 1000) =>
+        {
+            (mw, mh)
+        }
         _ => (0, 0),
     };
     if size.0 * size.1 > 0 && (size == small || size == clip.size) {
@@ -281,7 +350,13 @@ fn open(path: &Path, name: &str, limit_bytes: u64) -> Result<Array<'static>, Fau
 }
 
 fn shape_error(name: &str, array: &Array<'_>, expected: &str) -> Fault {
-    Fault::bad(format!("the array `{name}` has shape {:?} where {expected} was expected", array.shape), HINT)
+    Fault::bad(
+        format!(
+            "the array `{name}` has shape {:?} where {expected} was expected",
+            array.shape
+        ),
+        HINT,
+    )
 }
 
 fn check_shape(name: &str, array: &Array<'_>, expected: &[usize], is: &str) -> Result<(), Fault> {
@@ -295,15 +370,22 @@ fn check_floats(name: &str, array: &Array<'_>) -> Result<(), Fault> {
     if array.number.is_float() {
         return Ok(());
     }
-    let what = format!("the array `{name}` holds numbers of type {:?}", array.number);
+    let what = format!(
+        "the array `{name}` holds numbers of type {:?}",
+        array.number
+    );
     Err(Fault::bad(what, "save it as float16, float32 or float64"))
 }
 
-/// The pinhole of `fx fy cx cy`, pixels; principal points are measured from the image's corner (see [the module](super)).
+/// The pinhole of `fx fy cx cy`, pixels; principal points are measured from the image's corner (see
+/// [the module](super)).
 fn pinhole(numbers: [f64; 4], clip: Clip, array: &str, frame: usize) -> Result<Intrinsics, Fault> {
     let lens = files::pinhole(numbers, clip.size);
     match range::of_lens(&lens) {
-        Some(what) => Err(Fault::bad(format!("the array `{array}`, frame {frame}: {what}"), HINT)),
+        Some(what) => Err(Fault::bad(
+            format!("the array `{array}`, frame {frame}: {what}"),
+            HINT,
+        )),
         None => Ok(lens),
     }
 }

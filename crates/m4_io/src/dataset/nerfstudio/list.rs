@@ -1,5 +1,6 @@
 //! Converts the entries of the file to frames.
 
+use super::axes::axes_of;
 use super::{Frame, TRAINING_LIST, Transforms, lens_of};
 use crate::dataset::depth;
 use crate::dataset::files::{Inside, duration_s, given_fps, stored_image};
@@ -28,12 +29,19 @@ fn files(path: &Path) -> Option<(PathBuf, Option<PathBuf>)> {
     }
     let file = |name: &str| Some(path.join(name)).filter(|file| file.is_file());
     match file(TRAINING_LIST) {
-        Some(train) => Some((train, file("transforms_test.json").or_else(|| file("transforms_val.json")))),
+        Some(train) => Some((
+            train,
+            file("transforms_test.json").or_else(|| file("transforms_val.json")),
+        )),
         None => Some((file("transforms.json")?, file("transforms_test.json"))),
     }
 }
 
-pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadError> {
+pub fn list(
+    path: &Path,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Listing, ReadError> {
     given_fps(options).at(path)?;
     let (train_file, test_file) = files(path).ok_or_else(|| {
         let hint = "give it or the folder that it is in";
@@ -72,8 +80,9 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     })
 }
 
-/// Lists one split of a capture of ours, the training video or `held_out` views: OpenGL axes unless the file names others, masks of
-/// 255 in dynamic regions, no assumed frame rate. Held-out views are timed by the training split beside them, or by `time_frames`.
+/// Lists one split of a capture of ours, the training video or `held_out` views: OpenGL axes unless
+/// the file names others, masks of 255 in dynamic regions, no assumed frame rate. Held-out views
+/// are timed by the training split beside them, or by `time_frames`.
 pub fn list_capture(
     file: &Path,
     held_out: bool,
@@ -85,9 +94,16 @@ pub fn list_capture(
         return Err(no_frames(file));
     }
     if held_out && !list.timed {
-        return Err(Fault::missing("time of the held-out views", "add their times, 0 to 1").within(file, "frames"));
+        return Err(
+            Fault::missing("time of the held-out views", "add their times, 0 to 1")
+                .within(file, "frames"),
+        );
     }
-    let time_frames = if held_out { list.time_frames()? } else { list.entries.len() };
+    let time_frames = if held_out {
+        list.time_frames()?
+    } else {
+        list.entries.len()
+    };
     if !held_out {
         warn_of_one_moment(&list, progress);
     }
@@ -153,28 +169,49 @@ struct List {
 }
 
 impl List {
-    fn read(path: &Path, kind: Kind, options: &ImportOptions, progress: &dyn Progress) -> Result<Self, ReadError> {
+    fn read(
+        path: &Path,
+        kind: Kind,
+        options: &ImportOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self, ReadError> {
         let mut file: Transforms = json(path)?;
-        let bad = |key: &str, what: String, hint: &str| Fault::bad(what, hint).within(path, key.to_owned());
+        let bad = |key: &str, what: String, hint: &str| {
+            Fault::bad(what, hint).within(path, key.to_owned())
+        };
         let values = std::mem::take(&mut file.frames);
         let mut entries = Vec::with_capacity(values.len());
         for (i, value) in values.into_iter().enumerate() {
-            let name = value.get("file_path").and_then(|v| v.as_str()).unwrap_or("?").to_owned();
-            let entry: Frame = serde_json::from_value(value)
-                .map_err(|e| bad(&format!("frame {i} ({name})"), e.to_string(), "write the file again"))?;
+            let name = value
+                .get("file_path")
+                .and_then(|v| v.as_str())
+                .unwrap_or("?")
+                .to_owned();
+            let entry: Frame = serde_json::from_value(value).map_err(|e| {
+                bad(
+                    &format!("frame {i} ({name})"),
+                    e.to_string(),
+                    "write the file again",
+                )
+            })?;
             entries.push((i, entry));
         }
         let depth_unit = file.depth_unit_scale_factor.unwrap_or(depth::DEFAULT_UNIT);
         let scale = file.applied_scale.unwrap_or(1.0);
-        for (key, value, range) in
-            [("depth_unit_scale_factor", depth_unit, range::DEPTH_UNIT), ("applied_scale", scale, range::SCALE)]
-        {
+        for (key, value, range) in [
+            ("depth_unit_scale_factor", depth_unit, range::DEPTH_UNIT),
+            ("applied_scale", scale, range::SCALE),
+        ] {
             range::check("it", value, &range, "", "correct it").map_err(|e| e.within(path, key))?;
         }
         let undo = match &file.applied_transform {
             Some(rows) => {
                 let applied = pose::of_rows("the matrix", rows);
-                Some(applied.map_err(|e| e.within(path, "applied_transform"))?.inverse())
+                Some(
+                    applied
+                        .map_err(|e| e.within(path, "applied_transform"))?
+                        .inverse(),
+                )
             }
             None => None,
         };
@@ -182,13 +219,19 @@ impl List {
             Kind::DataSet => axes_of(&file, &entries, progress),
             Kind::Capture => file.axes.unwrap_or_default(),
         };
-        let timed = entries.iter().filter(|(_, entry)| entry.time.is_some()).count();
+        let timed = entries
+            .iter()
+            .filter(|(_, entry)| entry.time.is_some())
+            .count();
         if timed == 0 {
             entries.sort_by(|(_, a), (_, b)| natural(&a.file_path, &b.file_path));
             let last = entries.len().max(2) as f64 - 1.0;
-            (0u32..).zip(&mut entries).for_each(|(i, (_, entry))| entry.time = Some(f64::from(i) / last));
+            (0u32..)
+                .zip(&mut entries)
+                .for_each(|(i, (_, entry))| entry.time = Some(f64::from(i) / last));
         } else if timed == entries.len() {
-            entries.sort_by(|(_, a), (_, b)| a.time.unwrap_or(0.0).total_cmp(&b.time.unwrap_or(0.0)));
+            entries
+                .sort_by(|(_, a), (_, b)| a.time.unwrap_or(0.0).total_cmp(&b.time.unwrap_or(0.0)));
         } else {
             let what = format!("{timed} of {} frames have a time", entries.len());
             return Err(bad("frames", what, "give all of them one, or none"));
@@ -221,9 +264,13 @@ impl List {
     fn take(&mut self, names: &[String]) -> Vec<(usize, Frame)> {
         let train = self.file.train_filenames.clone().unwrap_or_default();
         let all = std::mem::take(&mut self.entries);
-        let (keep, rest): (Vec<_>, Vec<_>) = all.into_iter().partition(|(_, e)| train.contains(&e.file_path));
+        let (keep, rest): (Vec<_>, Vec<_>) = all
+            .into_iter()
+            .partition(|(_, e)| train.contains(&e.file_path));
         self.entries = keep;
-        rest.into_iter().filter(|(_, e)| names.contains(&e.file_path)).collect()
+        rest.into_iter()
+            .filter(|(_, e)| names.contains(&e.file_path))
+            .collect()
     }
 
     /// How many frames `time` = 0..1 spans, of held-out views.
@@ -236,18 +283,24 @@ impl List {
         }
         if let Some(n) = self.file.time_frames.filter(|n| !range::FRAMES.contains(n)) {
             let what = format!("it is {n}; 1 to {} was expected", range::FRAMES.end());
-            return Err(Fault::bad(what, "write the number of training frames").within(&self.path, "time_frames"));
+            return Err(Fault::bad(what, "write the number of training frames")
+                .within(&self.path, "time_frames"));
         }
         self.file.time_frames.filter(|&n| n > 0).ok_or_else(|| {
             let hint = "put transforms_train.json beside the file, or add time_frames";
-            Fault::missing("the number of training frames, which the times 0 to 1 span,", hint).at(&self.path)
+            Fault::missing(
+                "the number of training frames, which the times 0 to 1 span,",
+                hint,
+            )
+            .at(&self.path)
         })
     }
 
     fn duration_s(&self) -> Result<Option<f64>, ReadError> {
         if let Some(s) = self.file.duration_s {
             let range = 0.0..=*range::SECONDS.end();
-            range::check("it", s, &range, "seconds", "correct it").map_err(|e| e.within(&self.path, "duration_s"))?;
+            range::check("it", s, &range, "seconds", "correct it")
+                .map_err(|e| e.within(&self.path, "duration_s"))?;
         }
         Ok(self.file.duration_s)
     }
@@ -280,8 +333,11 @@ impl List {
             return Err(Fault::bad(what, "divide the times by the last"));
         }
         let rows = entry.transform_matrix.as_ref();
-        let rows = rows.ok_or_else(|| Fault::missing("transform_matrix", "write the file again"))?;
-        let mut c2w = self.axes.to_opencv(&pose::of_rows("transform_matrix", rows)?);
+        let rows =
+            rows.ok_or_else(|| Fault::missing("transform_matrix", "write the file again"))?;
+        let mut c2w = self
+            .axes
+            .to_opencv(&pose::of_rows("transform_matrix", rows)?);
         c2w.translation *= self.undo_scale;
         if let Some(undo) = &self.undo {
             c2w = undo.compose(&c2w);
@@ -296,7 +352,8 @@ impl List {
         let (depth_unit, dynamic_is_zero) = (self.depth_unit, self.dynamic_is_zero);
         Ok(ListedFrame {
             // as nerfstudio does, numbers of floats are multiplied too
-            depth: beside(&entry.depth_file_path)?.map(|file| depth::source(file, depth_unit, depth_unit)),
+            depth: beside(&entry.depth_file_path)?
+                .map(|file| depth::source(file, depth_unit, depth_unit)),
             mask: beside(&entry.mask_path)?.map(|file| {
                 FrameSource::new(move || {
                     let grey = image::read_grey(&file)?;
@@ -308,8 +365,10 @@ impl List {
                     Ok(CompactMask::from_fn(w, h, |x, y| grey[(x, y)] == 0))
                 })
             }),
-            motion: beside(&entry.motion_path)?.map(|file| FrameSource::new(move || Ok(image::read_grey(&file)?))),
-            instances: beside(&entry.instance_path)?.map(|file| FrameSource::new(move || Ok(image::read_ids(&file)?))),
+            motion: beside(&entry.motion_path)?
+                .map(|file| FrameSource::new(move || Ok(image::read_grey(&file)?))),
+            instances: beside(&entry.instance_path)?
+                .map(|file| FrameSource::new(move || Ok(image::read_ids(&file)?))),
             camera_index: held_out.then_some(entry.camera).flatten(),
             ..ListedFrame::new(entry.file_path.clone(), lens, c2w, t, image.rgb)
         })
@@ -354,30 +413,9 @@ impl List {
         sorted.sort_unstable();
         let place = |(i, _): &(usize, Frame)| sorted.partition_point(|k| k < i);
         let order: Vec<usize> = self.entries.iter().map(place).collect();
-        let bad = |e: m4_core::ShapeError| Fault::bad(e.to_string(), "write the tracks of this clip").at(&path);
+        let bad = |e: m4_core::ShapeError| {
+            Fault::bad(e.to_string(), "write the tracks of this clip").at(&path)
+        };
         Ok(Some(tracks.in_order(&order).map_err(bad)?))
     }
-}
-
-/// The axes by the file, or the keys that it has; see the module.
-fn axes_of(file: &Transforms, frames: &[(usize, Frame)], progress: &dyn Progress) -> Axes {
-    if let Some(axes) = file.axes {
-        return axes;
-    }
-    let of_opengl = file.lens.camera_angle_x.is_some()
-        || file.lens.camera_model.is_some()
-        || file.lens.is_fisheye.is_some()
-        || file.applied_transform.is_some()
-        || file.orientation_override.is_some()
-        || file.aabb_scale.is_some()
-        || file.ply_file_path.is_some()
-        || frames.iter().any(|(_, frame)| frame.lens.camera_angle_x.is_some() || frame.lens.camera_model.is_some());
-    if of_opengl || !frames.iter().all(|(_, frame)| frame.time.is_some()) {
-        return Axes::OpenGl;
-    }
-    progress.warn(
-        "transforms.json is laid out as those of Instant4D and does not name its axes; OpenCV axes were assumed (if everything is \
-         behind the cameras, they are OpenGL's: add \"camera_model\": \"OPENCV\" to the file, as nerfstudio does)",
-    );
-    Axes::OpenCv
 }

@@ -1,4 +1,5 @@
-//! `transforms.json`: nerfstudio, the synthetic scenes of NeRF and D-NeRF, Instant4D, instant-ngp, and our own captures.
+//! `transforms.json`: nerfstudio, the synthetic scenes of NeRF and D-NeRF, Instant4D, instant-ngp,
+//! and our own captures.
 //!
 //! ```text
 //! PATH                    a JSON file, or a folder with transforms_train.json (and transforms_test.json, or _val) or transforms.json
@@ -15,23 +16,27 @@
 //!
 //! **What is converted.**
 //!
-//! * Axes. Matrices are camera to world. They are OpenGL's (x right, y up, z back) except where `axes` says `opencv`.
-//!   Where it is missing: a file with one of the keys `camera_angle_x`, `camera_model`, `applied_transform`,
-//!   `orientation_override`, `aabb_scale`, `ply_file_path` or `is_fisheye` is one of nerfstudio, Blender or instant-ngp, and OpenGL. A
-//!   file without any of them whose frames all have a `time` is laid out as those of Instant4D, whose axes are OpenCV's; it is taken
-//!   so, and a warning says it. All others are OpenGL.
-//! * Time. `time` runs from 0 to 1 over the training video. Without it frames are in the natural order of their names, evenly spaced.
-//! * Depth. PNG files of 16 bits, and numbers of npy and EXR files too, are multiplied by `depth_unit_scale_factor` (0.001 where it
-//!   is missing, as in nerfstudio).
-//! * Masks. nerfstudio trains where `mask_path` is not 0 and leaves out what is 0: the dynamic part is **0**. Our own
-//!   captures, known by the key `axes`, have 255 there.
-//! * `applied_scale` and `applied_transform` are undone, so that poses are again in the unit of the depth maps and in the world of
-//!   the tool that computed them.
-//! * The principal point is measured from the image's corner, as ours. `k4` of a lens that is no fisheye is not read: programs
-//!   disagree about what it is.
+//! * Axes. Matrices are camera to world. They are OpenGL's (x right, y up, z back) except where
+//!   `axes` says `opencv`. Where it is missing: a file with one of the keys `camera_angle_x`,
+//!   `camera_model`, `applied_transform`, `orientation_override`, `aabb_scale`, `ply_file_path` or
+//!   `is_fisheye` is one of nerfstudio, Blender or instant-ngp, and OpenGL. A file without any of
+//!   them whose frames all have a `time` is laid out as those of Instant4D, whose axes are
+//!   OpenCV's; it is taken so, and a warning says it. All others are OpenGL.
+//! * Time. `time` runs from 0 to 1 over the training video. Without it frames are in the natural
+//!   order of their names, evenly spaced.
+//! * Depth. PNG files of 16 bits, and numbers of npy and EXR files too, are multiplied by
+//!   `depth_unit_scale_factor` (0.001 where it is missing, as in nerfstudio).
+//! * Masks. nerfstudio trains where `mask_path` is not 0 and leaves out what is 0: the dynamic part
+//!   is **0**. Our own captures, known by the key `axes`, have 255 there.
+//! * `applied_scale` and `applied_transform` are undone, so that poses are again in the unit of the
+//!   depth maps and in the world of the tool that computed them.
+//! * The principal point is measured from the image's corner, as ours. `k4` of a lens that is no
+//!   fisheye is not read: programs disagree about what it is.
 //!
-//! Source: nerfstudio's `nerfstudio_dataparser.py`, `depth_dataset.py` and `data_utils.py` (Apache-2.0), `blender_dataparser.py`.
+//! Source: nerfstudio's `nerfstudio_dataparser.py`, `depth_dataset.py` and `data_utils.py`
+//! (Apache-2.0), `blender_dataparser.py`.
 
+mod axes;
 mod list;
 
 pub(crate) use list::list_capture;
@@ -121,7 +126,10 @@ impl LensKeys {
             k4: self.k4.or(all.k4),
             p1: self.p1.or(all.p1),
             p2: self.p2.or(all.p2),
-            camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
+            camera_model: self
+                .camera_model
+                .clone()
+                .or_else(|| all.camera_model.clone()),
             is_fisheye: self.is_fisheye.or(all.is_fisheye),
         }
     }
@@ -189,7 +197,9 @@ pub(crate) struct Frame {
 /// The rows of `transform_matrix` of a pose: OpenGL axes.
 pub(crate) fn rows(c2w: &Se3<f64>) -> Vec<Vec<f64>> {
     let m = Axes::OpenGl.to_opencv(c2w).matrix();
-    (0..4).map(|i| (0..4).map(|j| m[(i, j)]).collect()).collect()
+    (0..4)
+        .map(|i| (0..4).map(|j| m[(i, j)]).collect())
+        .collect()
 }
 
 const HINT: &str = "correct the intrinsics in the file";
@@ -200,20 +210,29 @@ pub(crate) fn lens_of(keys: &LensKeys, (width, height): (usize, usize)) -> Resul
     for (key, given, found) in [("w", keys.w, w), ("h", keys.h, h)] {
         if let Some(given) = given.filter(|given| (given - found).abs() > 0.5) {
             let what = format!("{key} = {given}, but the image has {found}");
-            return Err(Fault::bad(what, "use the images that the cameras were computed from"));
+            return Err(Fault::bad(
+                what,
+                "use the images that the cameras were computed from",
+            ));
         }
     }
     let from_angle = |key: &str, angle: f64, side: f64| {
         if angle > 0.0 && angle < std::f64::consts::PI {
             return Ok(side / (2.0 * (angle / 2.0).tan()));
         }
-        Err(Fault::bad(format!("{key} = {angle}; a field of view from 0 to pi radians was expected"), HINT))
+        Err(Fault::bad(
+            format!("{key} = {angle}; a field of view from 0 to pi radians was expected"),
+            HINT,
+        ))
     };
     let fx = match (keys.fl_x, keys.camera_angle_x) {
         (Some(fx), _) => fx,
         (None, Some(angle)) => from_angle("camera_angle_x", angle, w)?,
         (None, None) => {
-            return Err(Fault::missing("fl_x, the focal length in pixels (or camera_angle_x),", "add it to the file"));
+            return Err(Fault::missing(
+                "fl_x, the focal length in pixels (or camera_angle_x),",
+                "add it to the file",
+            ));
         }
     };
     let fy = match (keys.fl_y, keys.fl_x, keys.camera_angle_y) {
@@ -249,7 +268,10 @@ fn distortion(keys: &LensKeys) -> Result<Distortion, Fault> {
     let fisheye = keys.is_fisheye == Some(true) || matches!(model, "OPENCV_FISHEYE" | "FISHEYE");
     if fisheye {
         if (p1, p2) != (0.0, 0.0) {
-            return Err(Fault::unsupported(format!("a fisheye with p1 = {p1}, p2 = {p2}"), "undistort the images"));
+            return Err(Fault::unsupported(
+                format!("a fisheye with p1 = {p1}, p2 = {p2}"),
+                "undistort the images",
+            ));
         }
         return Ok(Distortion::Fisheye { k });
     }
@@ -257,12 +279,18 @@ fn distortion(keys: &LensKeys) -> Result<Distortion, Fault> {
         "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE" => {}
         other => {
             let hint = "PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and OPENCV_FISHEYE are read; undistort the images";
-            return Err(Fault::unsupported(format!("camera_model is {other:?}"), hint));
+            return Err(Fault::unsupported(
+                format!("camera_model is {other:?}"),
+                hint,
+            ));
         }
     }
     if k[3] != 0.0 {
         let what = format!("k4 = {} of a lens that is not a fisheye", k[3]);
-        return Err(Fault::unsupported(what, "undistort the images and set it to 0"));
+        return Err(Fault::unsupported(
+            what,
+            "undistort the images and set it to 0",
+        ));
     }
     Ok(Distortion::brown(k[0], k[1], k[2], p1, p2))
 }

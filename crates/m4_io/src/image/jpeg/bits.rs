@@ -3,7 +3,8 @@
 /// Longest code, bits.
 const LONGEST: u32 = 16;
 
-/// A Huffman table: length and symbol of the code that 16 bits begin with; length 0 where there is none.
+/// A Huffman table: length and symbol of the code that 16 bits begin with; length 0 where there is
+/// none.
 pub(super) struct Codes(Vec<(u8, u8)>);
 
 impl Codes {
@@ -14,7 +15,9 @@ impl Codes {
         for (length, &n) in (1..).zip(counts) {
             let span = 1 << (LONGEST - u32::from(length));
             for &symbol in symbols.by_ref().take(usize::from(n)) {
-                let codes = table.get_mut(next..next + span).ok_or("a Huffman table has too many codes")?;
+                let codes = table
+                    .get_mut(next..next + span)
+                    .ok_or("a Huffman table has too many codes")?;
                 codes.fill((length, symbol));
                 next += span;
             }
@@ -34,7 +37,12 @@ pub(super) struct Bits<'a> {
 
 impl<'a> Bits<'a> {
     pub(super) fn new(file: &'a [u8]) -> Self {
-        Self { file, at: 0, held: 0, count: 0 }
+        Self {
+            file,
+            at: 0,
+            held: 0,
+            count: 0,
+        }
     }
 
     /// Holds at least 32 bits unless a marker or the end of the file comes before.
@@ -120,7 +128,11 @@ impl<'a> Bits<'a> {
     /// Passes over the restart marker of number `n` (0 to 7).
     pub(super) fn restart(&mut self, n: usize) -> Result<(), String> {
         self.end()?;
-        while self.file.get(self.at..).is_some_and(|rest| rest.starts_with(&[0xff, 0xff])) {
+        while self
+            .file
+            .get(self.at..)
+            .is_some_and(|rest| rest.starts_with(&[0xff, 0xff]))
+        {
             self.at += 1;
         }
         if self.file.get(self.at..self.at + 2) != Some(&[0xff, 0xd0 + n as u8]) {

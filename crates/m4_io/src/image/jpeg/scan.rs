@@ -33,8 +33,13 @@ impl Frame {
         let (width, height) = (side(w1, w0), side(h1, h0));
         let all: Vec<&[u8; 3]> = rest.as_chunks().0.iter().take(usize::from(n)).collect();
         let sampling = |c: &[u8; 3]| (usize::from(c[1] >> 4), usize::from(c[1] & 15));
-        let fits = |c: &&[u8; 3]| (1..=4).contains(&sampling(c).0) && (1..=4).contains(&sampling(c).1);
-        if !(1..=4).contains(&n) || all.len() < usize::from(n) || !all.iter().all(fits) || width * height == 0 {
+        let fits =
+            |c: &&[u8; 3]| (1..=4).contains(&sampling(c).0) && (1..=4).contains(&sampling(c).1);
+        if !(1..=4).contains(&n)
+            || all.len() < usize::from(n)
+            || !all.iter().all(fits)
+            || width * height == 0
+        {
             return Err(damaged());
         }
         let h_max = all.iter().map(|c| sampling(c).0).max().unwrap_or(1);
@@ -46,13 +51,24 @@ impl Frame {
             Component {
                 id: c[0],
                 sampling: (h, v),
-                blocks: ((width * h).div_ceil(h_max).div_ceil(8), (height * v).div_ceil(v_max).div_ceil(8)),
+                blocks: (
+                    (width * h).div_ceil(h_max).div_ceil(8),
+                    (height * v).div_ceil(v_max).div_ceil(8),
+                ),
                 stride,
-                known: if progressive { vec![0; stride * mcus.1 * v] } else { Vec::new() },
+                known: if progressive {
+                    vec![0; stride * mcus.1 * v]
+                } else {
+                    Vec::new()
+                },
                 begun: false,
             }
         };
-        Ok(Self { progressive, components: all.iter().map(component).collect(), mcus })
+        Ok(Self {
+            progressive,
+            components: all.iter().map(component).collect(),
+            mcus,
+        })
     }
 
     /// Whether every component had a scan.
@@ -91,25 +107,47 @@ impl<'a> Scan<'a> {
     ) -> Result<Self, String> {
         let damaged = || "a scan header is damaged".to_owned();
         let (&n, rest) = segment.split_first().ok_or_else(damaged)?;
-        let (named, rest) = rest.split_at_checked(2 * usize::from(n)).ok_or_else(damaged)?;
+        let (named, rest) = rest
+            .split_at_checked(2 * usize::from(n))
+            .ok_or_else(damaged)?;
         let &[start, end, bits] = rest.first_chunk().ok_or_else(damaged)?;
         let part = |&[id, tables]: &[u8; 2]| {
-            let of = |class: usize, table: u8| codes[class].get(usize::from(table)).and_then(Option::as_ref);
+            let of = |class: usize, table: u8| {
+                codes[class]
+                    .get(usize::from(table))
+                    .and_then(Option::as_ref)
+            };
             let component = frame.components.iter().position(|c| c.id == id)?;
-            Some(Part { component, dc: of(0, tables >> 4), ac: of(1, tables & 15) })
+            Some(Part {
+                component,
+                dc: of(0, tables >> 4),
+                ac: of(1, tables & 15),
+            })
         };
         let parts: Option<Vec<Part<'_>>> = named.as_chunks().0.iter().map(part).collect();
-        let parts = parts.filter(|parts| (1..=4).contains(&parts.len())).ok_or_else(damaged)?;
-        let band = if frame.progressive { (u32::from(start), u32::from(end)) } else { (0, 63) };
+        let parts = parts
+            .filter(|parts| (1..=4).contains(&parts.len()))
+            .ok_or_else(damaged)?;
+        let band = if frame.progressive {
+            (u32::from(start), u32::from(end))
+        } else {
+            (0, 63)
+        };
         // of several components there are only the first coefficients
         let mixed = frame.progressive && (band.0 == 0 || parts.len() > 1) && band != (0, 0);
         if band.0 > band.1 || band.1 > 63 || mixed {
             return Err(damaged());
         }
-        Ok(Self { parts, band, refines: frame.progressive && bits >> 4 > 0, restart })
+        Ok(Self {
+            parts,
+            band,
+            refines: frame.progressive && bits >> 4 > 0,
+            restart,
+        })
     }
 
-    /// Follows the data behind the header, to the marker behind them; returns how many bytes they have.
+    /// Follows the data behind the header, to the marker behind them; returns how many bytes they
+    /// have.
     pub(super) fn follow(&self, frame: &mut Frame, data: &[u8]) -> Result<usize, String> {
         let (mut bits, mut run) = (Bits::new(data), 0);
         let (progressive, mcus) = (frame.progressive, frame.mcus);
@@ -126,7 +164,11 @@ impl<'a> Scan<'a> {
             let (x, y) = (mcu % columns, mcu / columns);
             for part in &self.parts {
                 let component = &mut frame.components[part.component];
-                let (h, v) = if self.parts.len() == 1 { (1, 1) } else { component.sampling };
+                let (h, v) = if self.parts.len() == 1 {
+                    (1, 1)
+                } else {
+                    component.sampling
+                };
                 for k in 0..h * v {
                     if !progressive {
                         baseline(&mut bits, part)?;
@@ -146,8 +188,15 @@ impl<'a> Scan<'a> {
         bits.end()
     }
 
-    /// A block of a progressive scan (annex G); `known` are its coefficients that are not 0, `run` the blocks to come without new ones.
-    fn progressive(&self, bits: &mut Bits<'_>, part: &Part<'_>, known: &mut u64, run: &mut u32) -> Result<(), String> {
+    /// A block of a progressive scan (annex G); `known` are its coefficients that are not 0, `run`
+    /// the blocks to come without new ones.
+    fn progressive(
+        &self,
+        bits: &mut Bits<'_>,
+        part: &Part<'_>,
+        known: &mut u64,
+        run: &mut u32,
+    ) -> Result<(), String> {
         let (first, last) = self.band;
         if first == 0 {
             if self.refines {

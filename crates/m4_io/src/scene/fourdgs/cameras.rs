@@ -1,5 +1,6 @@
-//! What goes into records beside the splats: the cameras of the video as a sensor on a rig, an initial view for viewers, and the
-//! properties of a scene without a field in the format as our own metadata record.
+//! What goes into records beside the splats: the cameras of the video as a sensor on a rig, an
+//! initial view for viewers, and the properties of a scene without a field in the format as our own
+//! metadata record.
 
 use super::convert::Clip;
 use crate::scene::{Loss, usable};
@@ -17,8 +18,14 @@ const PINHOLE: u8 = 1;
 /// Right-handed, in the registry of the format.
 const RIGHT_HANDED: u8 = 1;
 /// Axes of the registry of the format: +x, +y, +z, -x, -y, -z.
-const AXES: [[f64; 3]; 6] =
-    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
+const AXES: [[f64; 3]; 6] = [
+    [1.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0],
+    [0.0, 0.0, 1.0],
+    [-1.0, 0.0, 0.0],
+    [0.0, -1.0, 0.0],
+    [0.0, 0.0, -1.0],
+];
 
 fn seconds(frame: &SourceFrame, clip: &Clip) -> f64 {
     frame.t * clip.step_s
@@ -34,22 +41,36 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
         length_unit: 0,
         metres_per_unit: 0.0,
     };
-    let mut out = Provenance { frames: vec![world], ..Provenance::default() };
+    let mut out = Provenance {
+        frames: vec![world],
+        ..Provenance::default()
+    };
     let mut losses = Vec::new();
     let Some(first) = scene.source.first() else {
         return (out, losses);
     };
-    if scene.source.iter().any(|s| s.exposure != Exposure::IDENTITY) {
+    if scene
+        .source
+        .iter()
+        .any(|s| s.exposure != Exposure::IDENTITY)
+    {
         losses.push(Loss::Dropped("the exposure of every frame".to_owned()));
     }
-    let in_order = scene.source.windows(2).all(|pair| seconds(&pair[0], clip) < seconds(&pair[1], clip));
+    let in_order = scene
+        .source
+        .windows(2)
+        .all(|pair| seconds(&pair[0], clip) < seconds(&pair[1], clip));
     if !in_order {
-        losses.push(Loss::Dropped("the cameras of the video: several are of the same moment".to_owned()));
+        losses.push(Loss::Dropped(
+            "the cameras of the video: several are of the same moment".to_owned(),
+        ));
         return (out, losses);
     }
     let lens = first.camera.intrinsics;
     if scene.source.iter().any(|s| s.camera.intrinsics != lens) {
-        losses.push(Loss::Dropped("intrinsics of all frames but the first".to_owned()));
+        losses.push(Loss::Dropped(
+            "intrinsics of all frames but the first".to_owned(),
+        ));
     }
     let size = |v: usize| u32::try_from(v).unwrap_or(u32::MAX);
     out.sensors.push(SensorCalibration {
@@ -78,7 +99,11 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
         interpolation: TRAJECTORY_LINEAR,
         times: scene.source.iter().map(|s| seconds(s, clip)).collect(),
         rotations: scene.source.iter().map(rotation).collect(),
-        translations: scene.source.iter().map(|s| s.camera.c2w.translation.into()).collect(),
+        translations: scene
+            .source
+            .iter()
+            .map(|s| s.camera.c2w.translation.into())
+            .collect(),
     });
     (out, losses)
 }
@@ -87,14 +112,19 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
 pub(super) fn view(scene: &Scene, clip: &Clip) -> Option<View> {
     let middle = scene.source.get(scene.source.len() / 2)?;
     let distance = median_depth(scene, &middle.camera);
-    let target = |c: &Camera| -> [f64; 3] { c.c2w.transform(&Vector3::new(0.0, 0.0, distance)).into() };
+    let target =
+        |c: &Camera| -> [f64; 3] { c.c2w.transform(&Vector3::new(0.0, 0.0, distance)).into() };
     let lens = middle.camera.intrinsics;
     Some(View {
         fov_y_deg: 2.0 * (lens.height as f64 / (2.0 * lens.fy)).atan().to_degrees(),
         position: middle.camera.centre().into(),
         target: target(&middle.camera),
         times: scene.source.iter().map(|s| seconds(s, clip)).collect(),
-        positions: scene.source.iter().map(|s| s.camera.centre().into()).collect(),
+        positions: scene
+            .source
+            .iter()
+            .map(|s| s.camera.centre().into())
+            .collect(),
         targets: scene.source.iter().map(|s| target(&s.camera)).collect(),
         interpolation: "linear".to_owned(),
         loop_: false,
@@ -107,22 +137,34 @@ fn median_depth(scene: &Scene, camera: &Camera) -> f64 {
     let centre = camera.centre();
     let [x, y, z]: [&[f32]; 3] = std::array::from_fn(|k| scene.splats.column(Column::Mean, k));
     let mut depths: Vec<f64> = (0..scene.splats.n())
-        .map(|i| (Vector3::new(f64::from(x[i]), f64::from(y[i]), f64::from(z[i])) - centre).dot(&axis))
+        .map(|i| {
+            (Vector3::new(f64::from(x[i]), f64::from(y[i]), f64::from(z[i])) - centre).dot(&axis)
+        })
         .filter(|&d| d > 0.0)
         .collect();
     median(&mut depths).unwrap_or(1.0)
 }
 
 /// The cameras of a file: those of its first pinhole sensor, one per pose of its rig.
-pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss>) -> Vec<SourceFrame> {
+pub(super) fn source(
+    provenance: &Provenance,
+    clip: &Clip,
+    losses: &mut Vec<Loss>,
+) -> Vec<SourceFrame> {
     let Some(sensor) = provenance.sensors.iter().find(|s| s.is_camera()) else {
         return Vec::new();
     };
     if provenance.sensors.len() > 1 {
-        losses.push(Loss::Dropped(format!("the sensors besides {:?}", sensor.name)));
+        losses.push(Loss::Dropped(format!(
+            "the sensors besides {:?}",
+            sensor.name
+        )));
     }
     if sensor.distortion.iter().any(|&d| d != 0.0) {
-        losses.push(Loss::Dropped(format!("the distortion of the lens {:?}", sensor.name)));
+        losses.push(Loss::Dropped(format!(
+            "the distortion of the lens {:?}",
+            sensor.name
+        )));
     }
     let intrinsics = Intrinsics {
         width: sensor.width_px as usize,
@@ -133,12 +175,18 @@ pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss
         cy: sensor.cy,
     };
     let on_rig = pose(&sensor.rotation, &sensor.translation);
-    let frame =
-        |c2w: Se3<f64>, t: f64| SourceFrame { camera: Camera { intrinsics, c2w }, t, exposure: Exposure::IDENTITY };
+    let frame = |c2w: Se3<f64>, t: f64| SourceFrame {
+        camera: Camera { intrinsics, c2w },
+        t,
+        exposure: Exposure::IDENTITY,
+    };
     let source: Vec<SourceFrame> = match sensor.pose_reference {
         POSE_TO_SCENE => (0..clip.frames).map(|t| frame(on_rig, t as f64)).collect(),
         _ => {
-            let rig = provenance.trajectories.iter().find(|r| r.name == sensor.rig_name);
+            let rig = provenance
+                .trajectories
+                .iter()
+                .find(|r| r.name == sensor.rig_name);
             let poses = rig.map(|rig| {
                 let poses = rig.rotations.iter().zip(&rig.translations);
                 rig.times
@@ -153,14 +201,20 @@ pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss
     if source.iter().all(usable) {
         return source;
     }
-    losses.push(Loss::Dropped(format!("the camera {:?}: its lens or its poses make no image", sensor.name)));
+    losses.push(Loss::Dropped(format!(
+        "the camera {:?}: its lens or its poses make no image",
+        sensor.name
+    )));
     Vec::new()
 }
 
 fn pose(rotation: &[f64; 4], translation: &[f64; 3]) -> Se3<f64> {
     let [x, y, z, w] = *rotation;
     let unit = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
-    Se3 { rotation: unit.to_rotation_matrix().into_inner(), translation: Vector3::from(*translation) }
+    Se3 {
+        rotation: unit.to_rotation_matrix().into_inner(),
+        translation: Vector3::from(*translation),
+    }
 }
 
 /// Which way is up: as the coordinate frame says, else as the header does.
@@ -202,7 +256,10 @@ pub(super) fn record(scene: &Scene) -> Metadata {
     if let Some(s) = scene.duration_s {
         entries.insert("duration_s".to_owned(), s.to_string());
     }
-    Metadata { name: RECORD.to_owned(), entries }
+    Metadata {
+        name: RECORD.to_owned(),
+        entries,
+    }
 }
 
 impl Notes {
@@ -217,10 +274,18 @@ impl Notes {
             <[f32; 3]>::try_from(parts).ok()
         };
         Self {
-            time_frames: text("time_frames").and_then(|v| v.parse().ok()).filter(|n| (1..=MAX_FRAMES).contains(n)),
-            duration_s: text("duration_s").and_then(|v| v.parse().ok()).filter(|s: &f64| s.is_finite() && *s >= 0.0),
-            background: text("background").and_then(colour).filter(|c| c.iter().all(|v| v.is_finite())),
-            near: text("near").and_then(|v| v.parse().ok()).filter(|v: &f32| v.is_finite() && *v >= 0.0),
+            time_frames: text("time_frames")
+                .and_then(|v| v.parse().ok())
+                .filter(|n| (1..=MAX_FRAMES).contains(n)),
+            duration_s: text("duration_s")
+                .and_then(|v| v.parse().ok())
+                .filter(|s: &f64| s.is_finite() && *s >= 0.0),
+            background: text("background")
+                .and_then(colour)
+                .filter(|c| c.iter().all(|v| v.is_finite())),
+            near: text("near")
+                .and_then(|v| v.parse().ok())
+                .filter(|v: &f32| v.is_finite() && *v >= 0.0),
             mip: text("mip").and_then(|v| v.parse().ok()),
         }
     }

@@ -1,16 +1,17 @@
-//! Converts splats to the columns of the container, and back, and verifies that a file decodes to its input, within the bounds that
-//! it declares.
+//! Converts splats to the columns of the container, and back, and verifies that a file decodes to
+//! its input, within the bounds that it declares.
 //!
-//! The encoder's own check allows 1e-9 beside each bound, and the decoder rounds to f32, so it refuses ordinary scenes. This one
-//! allows a unit in the last place. Chunks and the Morton order inside them rearrange splats, so each original is first put on the
-//! grid of the file as a decoder would, and the two sets of rows must then agree bit for bit; the grid itself is compared with the
-//! original.
+//! The encoder's own check allows 1e-9 beside each bound, and the decoder rounds to f32, so it
+//! refuses ordinary scenes. This one allows a unit in the last place. Chunks and the Morton order
+//! inside them rearrange splats, so each original is first put on the grid of the file as a decoder
+//! would, and the two sets of rows must then agree bit for bit; the grid itself is compared with
+//! the original.
 
 use crate::scene::splats::{FOREVER_CLIPS, Life, Row, collect, logit, sigmoid, unit};
 use crate::scene::{C0, Loss, plural};
 use ::fourdgs::quantization::{
-    Bounds, SH_QUANT_HI, SH_QUANT_LO, Steps, dequantize_rotation, life_class, motion_step, mu_step, quantize_rotation,
-    rint, sh_coefficient, support_k,
+    Bounds, SH_QUANT_HI, SH_QUANT_LO, Steps, dequantize_rotation, life_class, motion_step, mu_step,
+    quantize_rotation, rint, sh_coefficient, support_k,
 };
 use ::fourdgs::{GaussianSet, Quantization, Scene};
 use m4_core::{Column, Splats};
@@ -56,7 +57,8 @@ pub(super) fn to_set(splats: &Splats, clip: &Clip) -> (GaussianSet, Vec<Loss>) {
         set.scales.extend(row.log_scale.map(f32::exp));
         let [w, x, y, z] = row.quat;
         set.rotations.extend([x, y, z, w]);
-        let rgb: [f64; 3] = std::array::from_fn(|c| 0.5 + C0 * f64::from(splats.column(Column::Colour, c)[i]));
+        let rgb: [f64; 3] =
+            std::array::from_fn(|c| 0.5 + C0 * f64::from(splats.column(Column::Colour, c)[i]));
         // without harmonics a negative sum is black for us too
         let dark = layout.sh_degree > 0 && rgb.iter().any(|&v| v < -0.5 / 255.0);
         bright += usize::from(dark || rgb.iter().any(|&v| v > 1.0 + 0.5 / 255.0));
@@ -76,9 +78,14 @@ pub(super) fn to_set(splats: &Splats, clip: &Clip) -> (GaussianSet, Vec<Loss>) {
         }
         let life = Life::of(splats, i);
         let step = clip.step_s;
-        set.motions.extend(life.map_or([0.0; 3], |l| l.velocity.map(|v| (f64::from(v) / step) as f32)));
-        set.mu_t.push(life.map_or(0.0, |l| (f64::from(l.time_mean) * step) as f32));
-        set.sigma_t.push(life.map_or(f32::INFINITY, |l| (f64::from(l.log_time_sd).exp() * step) as f32));
+        set.motions.extend(life.map_or([0.0; 3], |l| {
+            l.velocity.map(|v| (f64::from(v) / step) as f32)
+        }));
+        set.mu_t
+            .push(life.map_or(0.0, |l| (f64::from(l.time_mean) * step) as f32));
+        set.sigma_t.push(life.map_or(f32::INFINITY, |l| {
+            (f64::from(l.log_time_sd).exp() * step) as f32
+        }));
     }
     let mut losses = Vec::new();
     if bright > 0 {
@@ -96,8 +103,13 @@ pub(super) fn to_set(splats: &Splats, clip: &Clip) -> (GaussianSet, Vec<Loss>) {
     (set, losses)
 }
 
-/// The splats of the columns: those that never fade nor move are static. Fails with the parameter that is not a finite number.
-pub(super) fn from_set(set: &GaussianSet, clip: &Clip, cutoff: f64) -> Result<(Splats, Vec<Loss>), String> {
+/// The splats of the columns: those that never fade nor move are static. Fails with the parameter
+/// that is not a finite number.
+pub(super) fn from_set(
+    set: &GaussianSet,
+    clip: &Clip,
+    cutoff: f64,
+) -> Result<(Splats, Vec<Loss>), String> {
     let n = set.count();
     let last_s = clip.step_s * clip.frames.saturating_sub(1) as f64;
     let k = support_k(cutoff);
@@ -109,7 +121,11 @@ pub(super) fn from_set(set: &GaussianSet, clip: &Clip, cutoff: f64) -> Result<(S
             Some(value) => Err(format!("{field} of splat {i} is {value}")),
             None => Ok(()),
         };
-        let (mean, scale, motion) = (triple(&set.positions), triple(&set.scales), triple(&set.motions));
+        let (mean, scale, motion) = (
+            triple(&set.positions),
+            triple(&set.scales),
+            triple(&set.motions),
+        );
         finite("the position", &mean)?;
         finite("the scale", &scale)?;
         finite("the motion", &motion)?;
@@ -132,7 +148,8 @@ pub(super) fn from_set(set: &GaussianSet, clip: &Clip, cutoff: f64) -> Result<(S
             cut += usize::from(from > (mu - seen).max(0.0) || to <= (mu + seen).min(last_s));
             Some((mu, sigma))
         } else if !whole {
-            // There for a while and gone: a Gaussian that the renderer cuts off at the same two moments.
+            // There for a while and gone: a Gaussian that the renderer cuts off at the same two
+            // moments.
             sudden += 1;
             let (from, to) = (from.max(-last_s - 1.0), to.min(2.0 * last_s + 1.0));
             Some((0.5 * (from + to), 0.5 * (to - from) / k))
@@ -145,7 +162,9 @@ pub(super) fn from_set(set: &GaussianSet, clip: &Clip, cutoff: f64) -> Result<(S
             None => (row, None),
             Some((centre, sd)) => {
                 let shift = centre - mu;
-                let moved = std::array::from_fn(|k| (f64::from(mean[k]) + f64::from(motion[k]) * shift) as f32);
+                let moved = std::array::from_fn(|k| {
+                    (f64::from(mean[k]) + f64::from(motion[k]) * shift) as f32
+                });
                 finite("the position in the middle of its life", &moved)?;
                 let life = Life {
                     time_mean: (centre / clip.step_s) as f32,
@@ -159,7 +178,11 @@ pub(super) fn from_set(set: &GaussianSet, clip: &Clip, cutoff: f64) -> Result<(S
         };
         rows.push(row_and_life);
     }
-    let coefficients = if set.sh.is_some() { set.sh_coefficients } else { 0 };
+    let coefficients = if set.sh.is_some() {
+        set.sh_coefficients
+    } else {
+        0
+    };
     let degree = match coefficients {
         15 => 3,
         8 => 2,
@@ -187,7 +210,10 @@ fn window_losses(sudden: usize, cut: usize) -> Vec<Loss> {
         )));
     }
     if cut > 0 {
-        losses.push(Loss::Dropped(format!("the window of {}, which cuts off their fading", plural(cut, "splat"))));
+        losses.push(Loss::Dropped(format!(
+            "the window of {}, which cuts off their fading",
+            plural(cut, "splat")
+        )));
     }
     losses
 }
@@ -195,12 +221,20 @@ fn window_losses(sudden: usize, cut: usize) -> Vec<Loss> {
 /// Fields of a row beside its harmonics.
 const FIELDS: usize = 19;
 /// Their names, for messages, and how many values each has.
-const NAMES: [(&str, usize); 7] =
-    [("position", 3), ("scale", 3), ("rotation", 4), ("colour", 4), ("motion", 3), ("mu_t", 1), ("sigma_t", 1)];
+const NAMES: [(&str, usize); 7] = [
+    ("position", 3),
+    ("scale", 3),
+    ("rotation", 4),
+    ("colour", 4),
+    ("motion", 3),
+    ("mu_t", 1),
+    ("sigma_t", 1),
+];
 
 type Fields = [f32; FIELDS];
 
-/// Compares a decoded file with the columns that it was made of. Returns what differs, and by how much.
+/// Compares a decoded file with the columns that it was made of. Returns what differs, and by how
+/// much.
 pub(super) fn verify(set: &GaussianSet, bounds: &Bounds, file: &Scene) -> Result<(), String> {
     let (n, found) = (set.count(), file.gaussians.count());
     if n != found {
@@ -217,13 +251,20 @@ pub(super) fn verify(set: &GaussianSet, bounds: &Bounds, file: &Scene) -> Result
     let got = rows(&file.gaussians, |i| fields_of(&file.gaussians, i));
     match wanted.iter().zip(&got).position(|(a, b)| a != b) {
         None => Ok(()),
-        Some(at) => Err(format!("row {at} in order of its bits is {:?} where {:?} was written", got[at], wanted[at])),
+        Some(at) => Err(format!(
+            "row {at} in order of its bits is {:?} where {:?} was written",
+            got[at], wanted[at]
+        )),
     }
 }
 
 /// Bits of the fields and bytes of the harmonics of every splat, sorted.
 fn rows(set: &GaussianSet, fields: impl Fn(usize) -> Fields) -> Vec<([u32; FIELDS], &[u8])> {
-    let width = if set.sh.is_some() { 3 * set.sh_coefficients } else { 0 };
+    let width = if set.sh.is_some() {
+        3 * set.sh_coefficients
+    } else {
+        0
+    };
     let sh = set.sh.as_deref().unwrap_or_default();
     let mut rows: Vec<_> = (0..set.count())
         .map(|i| {
@@ -277,14 +318,24 @@ impl Grid {
     /// What a decoder makes of a splat once it is on the grid.
     fn fields(&self, set: &GaussianSet, i: usize) -> Fields {
         let original = fields_of(set, i).map(f64::from);
-        let (s, snap) = (&self.steps, |v: f64, step: f64| rint(v / step) as f64 * step);
+        let (s, snap) = (&self.steps, |v: f64, step: f64| {
+            rint(v / step) as f64 * step
+        });
         let fades = original[18].is_finite();
-        let sigma_bin = if fades { rint(original[18].max(1e-30).ln() / s.sigma_log) } else { 0 };
-        let motion = motion_step(life_class(sigma_bin, s.sigma_log, !fades, self.window_s, self.k), s.motion);
+        let sigma_bin = if fades {
+            rint(original[18].max(1e-30).ln() / s.sigma_log)
+        } else {
+            0
+        };
+        let motion = motion_step(
+            life_class(sigma_bin, s.sigma_log, !fades, self.window_s, self.k),
+            s.motion,
+        );
         let time = mu_step(sigma_bin, s.sigma_log, !fades, s.time);
         let mut out = [0.0; FIELDS];
         for k in 0..3 {
-            out[k] = (rint((original[k] - self.origin[k]) / s.pos) as f64 * s.pos + self.origin[k]) as f32;
+            out[k] = (rint((original[k] - self.origin[k]) / s.pos) as f64 * s.pos + self.origin[k])
+                as f32;
             out[3 + k] = snap(original[3 + k].max(1e-30).ln(), s.scale_log).exp() as f32;
             out[10 + k] = snap(original[10 + k], s.rgb).clamp(0.0, 1.0) as f32;
             out[14 + k] = snap(original[14 + k], motion) as f32;
@@ -294,7 +345,11 @@ impl Grid {
         out[6..10].copy_from_slice(&dequantize_rotation(largest, &bins, s.rot));
         out[13] = snap(original[13], s.alpha).clamp(0.0, 1.0) as f32;
         out[17] = snap(original[17], time) as f32;
-        out[18] = if fades { (sigma_bin as f64 * s.sigma_log).exp() as f32 } else { f32::INFINITY };
+        out[18] = if fades {
+            (sigma_bin as f64 * s.sigma_log).exp() as f32
+        } else {
+            f32::INFINITY
+        };
         out
     }
 }
@@ -311,27 +366,34 @@ fn within(fields: &Fields, set: &GaussianSet, i: usize, bounds: &Bounds) -> Resu
                 "position" => bounds.pos,
                 "scale" if a > 1e-30 => bounds.scale_rel * a,
                 "colour" => bounds.rgb.max(bounds.alpha),
-                // a promise on where the splat is, not on its velocity: at most four times the bound of
-                // half a second for the shortest lives
+                // a promise on where the splat is, not on its velocity: at most four times the
+                // bound of half a second for the shortest lives
                 "motion" => bounds.motion * 16.0,
                 "mu_t" => bounds.time,
                 "sigma_t" if fades && a > 1e-30 => bounds.sigma_rel * a,
                 // compared as a rotation below
                 _ => continue,
             };
-            // one in the last place, of the value or of the larger of the two numbers it was made of
+            // one in the last place, of the value or of the larger of the two numbers it was made
+            // of
             let slack = f64::from(f32::EPSILON) * a.abs().max(b.abs()).max(allowed);
             if (a - b).abs() > allowed + slack {
-                return Err(format!("the {name} of splat {i} is {b} where {a} was given, and the bound is {allowed}"));
+                return Err(format!(
+                    "the {name} of splat {i} is {b} where {a} was given, and the bound is {allowed}"
+                ));
             }
         }
         at += width;
     }
-    let dot: f64 = (6..10).map(|k| f64::from(original[k]) * f64::from(fields[k])).sum();
+    let dot: f64 = (6..10)
+        .map(|k| f64::from(original[k]) * f64::from(fields[k]))
+        .sum();
     // Three components within the bound move the fourth by at most three times as much.
     let allowed = 4.0 * bounds.rot + 1e-6;
     if 2.0 * (1.0 - dot.abs()) > allowed * allowed {
-        return Err(format!("the rotation of splat {i} is off by more than {allowed}"));
+        return Err(format!(
+            "the rotation of splat {i} is off by more than {allowed}"
+        ));
     }
     Ok(())
 }

@@ -1,10 +1,12 @@
-//! `.4dgs`: splats with a velocity and a Gaussian in time, in chunks that can be sought (version 1).
+//! `.4dgs`: splats with a velocity and a Gaussian in time, in chunks that can be sought (version
+//! 1).
 //!
-//! The model `gaussian-birth` is ours (docs/spec/optimiser.md 1.4): a centre that moves along a straight line, a
-//! marginal in time that is cut off at 0.05, scales and a rotation that stay. Nothing is baked but the
-//! harmonics of time. What the format has no field for (background, near plane, Mip filter, number of
-//! frames) travels as a metadata record named `minute4d`, the cameras of the video as the format's own
-//! sensor and rig records. The container itself is read and written by the `fourdgs` crate.
+//! The model `gaussian-birth` is ours (docs/spec/optimiser.md 1.4): a centre that moves along a
+//! straight line, a marginal in time that is cut off at 0.05, scales and a rotation that stay.
+//! Nothing is baked but the harmonics of time. What the format has no field for (background, near
+//! plane, Mip filter, number of frames) travels as a metadata record named `minute4d`, the cameras
+//! of the video as the format's own sensor and rig records. The container itself is read and
+//! written by the `fourdgs` crate.
 //!
 //! | scene | file |
 //! |---|---|
@@ -23,7 +25,9 @@ mod tests;
 
 pub use read::{parse, read};
 
-use super::{Clock, DEFAULT_FPS, Loss, Written, at_peak, check_finite, check_unbound, plural, publish};
+use super::{
+    Clock, DEFAULT_FPS, Loss, Written, at_peak, check_finite, check_unbound, plural, publish,
+};
 use crate::WriteError;
 use ::fourdgs::quantization::{Bounds, Profile};
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
@@ -36,12 +40,18 @@ use std::path::Path;
 /// Effort of deflate, 0 to 9: the default of the container's reference encoder.
 const COMPRESSION: u32 = 6;
 
-/// Writes a scene, atomically. The bytes are decoded and compared before the file takes its name. Fails when the scene has
-/// values that are not finite, the file system refuses, or the bytes do not decode to the scene.
+/// Writes a scene, atomically. The bytes are decoded and compared before the file takes its name.
+/// Fails when the scene has values that are not finite, the file system refuses, or the bytes do
+/// not decode to the scene.
 pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
     let (bytes, losses) = encode(path, scene)?;
     publish(path, &bytes)?;
-    Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: scene.splats.n(), losses })
+    Ok(Written {
+        path: path.to_path_buf(),
+        bytes: bytes.len() as u64,
+        splats: scene.splats.n(),
+        losses,
+    })
 }
 
 /// The bytes of the file `path`, decoded and compared with the scene, and what they cannot hold.
@@ -49,7 +59,10 @@ pub fn encode(path: &Path, scene: &Scene) -> Result<(Vec<u8>, Vec<Loss>), WriteE
     check_finite(path, scene)?;
     check_unbound(path, &scene.splats)?;
     let clock = Clock::of(scene);
-    let clip = Clip { step_s: clock.step_s, frames: scene.time_frames.max(1) };
+    let clip = Clip {
+        step_s: clock.step_s,
+        frames: scene.time_frames.max(1),
+    };
     let splats = at_peak(&scene.splats);
     let (set, clipped) = to_set(&splats, &clip);
     let (provenance, unheld) = cameras::provenance(scene, &clip);
@@ -81,11 +94,14 @@ pub fn encode(path: &Path, scene: &Scene) -> Result<(Vec<u8>, Vec<Loss>), WriteE
     }
     if scene.splats.layout().time_degree > 0 {
         losses.push(Loss::Baked(
-            "the harmonics of time: every colour is that in the middle of the splat's lifetime".to_owned(),
+            "the harmonics of time: every colour is that in the middle of the splat's lifetime"
+                .to_owned(),
         ));
     }
     if scene.mip {
-        losses.push(Loss::Dropped("the Mip filter for other players (minute4d finds it in the metadata)".to_owned()));
+        losses.push(Loss::Dropped(
+            "the Mip filter for other players (minute4d finds it in the metadata)".to_owned(),
+        ));
     }
     losses.extend(unheld);
     losses.extend(clipped);
@@ -94,7 +110,10 @@ pub fn encode(path: &Path, scene: &Scene) -> Result<(Vec<u8>, Vec<Loss>), WriteE
 }
 
 fn decodes_to(bytes: &[u8], set: &GaussianSet, bounds: &Bounds) -> Result<(), String> {
-    let options = ReadOptions { recover_truncated: false, ..ReadOptions::default() };
+    let options = ReadOptions {
+        recover_truncated: false,
+        ..ReadOptions::default()
+    };
     let file = read_from(bytes, &options).map_err(|e| e.to_string())?;
     verify(set, bounds, &file)
 }
@@ -107,7 +126,11 @@ fn median(set: &GaussianSet) -> f64 {
     }
     scales.sort_unstable_by(f32::total_cmp);
     let (low, high) = (scales[(scales.len() - 1) / 2], scales[scales.len() / 2]);
-    if scales.len() % 2 == 1 { f64::from(high) } else { 0.5 * (f64::from(low) + f64::from(high)) }
+    if scales.len() % 2 == 1 {
+        f64::from(high)
+    } else {
+        0.5 * (f64::from(low) + f64::from(high))
+    }
 }
 
 fn steps(bounds: &Bounds, set: &GaussianSet, sh_degree: usize) -> Vec<Loss> {
@@ -115,7 +138,10 @@ fn steps(bounds: &Bounds, set: &GaussianSet, sh_degree: usize) -> Vec<Loss> {
     let mut all = vec![
         format!("positions by up to {:.2e} units", bounds.pos),
         format!("scales by up to {}", percent(bounds.scale_rel)),
-        format!("colours and opacities by up to {:.1}/255", 255.0 * bounds.rgb),
+        format!(
+            "colours and opacities by up to {:.1}/255",
+            255.0 * bounds.rgb
+        ),
     ];
     let moving = set.sigma_t.iter().filter(|s| s.is_finite()).count();
     if moving > 0 {

@@ -19,40 +19,66 @@ use std::path::Path;
 /// Near plane where the file does not say, world units.
 const NEAR: f32 = 0.01;
 
-/// Reads a file of any writer. Fails if the file is missing, damaged, or of a kind that is not known here.
+/// Reads a file of any writer. Fails if the file is missing, damaged, or of a kind that is not
+/// known here.
 pub fn read(path: &Path) -> Result<Imported, ReadError> {
     parse(path, &files::read(path, u64::MAX).at(path)?)
 }
 
-/// The scene in the bytes of a file; allocates at most 48 MiB and 96 bytes per byte. `path` is for messages alone.
+/// The scene in the bytes of a file; allocates at most 48 MiB and 96 bytes per byte. `path` is for
+/// messages alone.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadError> {
     scene_of(bytes).at(path)
 }
 
 fn unsupported(reason: impl Into<String>) -> Fault {
-    Fault::unsupported(reason, "write it again as .4dgs version 1 with the model gaussian-birth and deflate streams")
+    Fault::unsupported(
+        reason,
+        "write it again as .4dgs version 1 with the model gaussian-birth and deflate streams",
+    )
 }
 
 fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
     budget(bytes)?;
-    let options = ReadOptions { recover_truncated: false, ..ReadOptions::default() };
+    let options = ReadOptions {
+        recover_truncated: false,
+        ..ReadOptions::default()
+    };
     let file = read_from(bytes, &options).map_err(|e| refused(&e))?;
     if !file.objects.tracks.is_empty() {
         return Err(unsupported("its splats are moved by the tracks of objects"));
     }
     let facts = Notes::read(&file.metadata);
-    let clip = clip(file.header.duration_sec, &facts)
-        .ok_or_else(|| Fault::damaged(format!("it says that it lasts {} s", file.header.duration_sec)))?;
+    let clip = clip(file.header.duration_sec, &facts).ok_or_else(|| {
+        Fault::damaged(format!(
+            "it says that it lasts {} s",
+            file.header.duration_sec
+        ))
+    })?;
     let mut losses = Vec::new();
     if !file.audio_sources.is_empty() {
         losses.push(Loss::Dropped("the sound".to_owned()));
     }
     let source = cameras::source(&file.provenance, &clip, &mut losses);
-    let up = cameras::up(&file.provenance, file.header.attributes.get("coordinate_system").map(String::as_str));
-    let (splats, changed) = from_set(&file.gaussians, &clip, file.header.cutoff).map_err(Fault::damaged)?;
+    let up = cameras::up(
+        &file.provenance,
+        file.header
+            .attributes
+            .get("coordinate_system")
+            .map(String::as_str),
+    );
+    let (splats, changed) =
+        from_set(&file.gaussians, &clip, file.header.cutoff).map_err(Fault::damaged)?;
     losses.extend(changed);
-    if file.header.attributes.get("color_space").is_some_and(|s| s.starts_with("linear")) {
-        losses.push(Loss::Dropped("that its colours are linear light: they are shown as sRGB values".to_owned()));
+    if file
+        .header
+        .attributes
+        .get("color_space")
+        .is_some_and(|s| s.starts_with("linear"))
+    {
+        losses.push(Loss::Dropped(
+            "that its colours are linear light: they are shown as sRGB values".to_owned(),
+        ));
     }
     let steps = clip.frames.saturating_sub(1) as f64;
     let duration_s = match facts.time_frames {
@@ -89,7 +115,10 @@ fn clip(duration_s: f64, facts: &Notes) -> Option<Clip> {
         return Some(Clip { step_s, frames });
     }
     let frames = (duration_s * DEFAULT_FPS).round();
-    (frames <= MAX_FRAMES as f64).then(|| Clip { step_s: assumed, frames: (frames as usize).max(1) })
+    (frames <= MAX_FRAMES as f64).then(|| Clip {
+        step_s: assumed,
+        frames: (frames as usize).max(1),
+    })
 }
 
 fn refused(error: &::fourdgs::Error) -> Fault {
@@ -97,26 +126,32 @@ fn refused(error: &::fourdgs::Error) -> Fault {
     use RefusalKind::{UnsupportedCodec, UnsupportedModel, UnsupportedVersion};
     let reason = error.to_string();
     match error {
-        E::UnsupportedVersion(_) | E::UnsupportedCodec(_) | E::UnsupportedModel(_) | E::UnsupportedOperation(_) => {
-            unsupported(reason)
-        }
-        E::Refused { kind: UnsupportedVersion | UnsupportedModel | UnsupportedCodec, .. } => unsupported(reason),
+        E::UnsupportedVersion(_)
+        | E::UnsupportedCodec(_)
+        | E::UnsupportedModel(_)
+        | E::UnsupportedOperation(_) => unsupported(reason),
+        E::Refused {
+            kind: UnsupportedVersion | UnsupportedModel | UnsupportedCodec,
+            ..
+        } => unsupported(reason),
         _ => Fault::damaged(reason),
     }
 }
 
 /// Memory that any file may ask for, bytes.
 const FREE: u64 = 48 << 20;
-/// Memory that a byte of the file may ask for: splats take 8 to 15 bytes there and about 600 while they are decoded.
+/// Memory that a byte of the file may ask for: splats take 8 to 15 bytes there and about 600 while
+/// they are decoded.
 const PER_BYTE: u64 = 96;
 /// A splat of a scene, of its chunk before, and of the columns after.
 const PER_SPLAT: u64 = 2 * 76 + 100;
 /// A symbol of a stream: eight bytes decoded, up to four raw.
 const PER_SYMBOL: u64 = 12;
 
-/// Refuses a file whose records claim more than it may ask for. The decoder of the `fourdgs` crate stops at half a gigabyte,
-/// whatever the size of the file; streams with one constant row let a kilobyte ask for that much. Whatever does not parse is
-/// left to the decoder, which refuses it at that place without having allocated for what follows.
+/// Refuses a file whose records claim more than it may ask for. The decoder of the `fourdgs` crate
+/// stops at half a gigabyte, whatever the size of the file; streams with one constant row let a
+/// kilobyte ask for that much. Whatever does not parse is left to the decoder, which refuses it at
+/// that place without having allocated for what follows.
 fn budget(bytes: &[u8]) -> Result<(), Fault> {
     let allowed = FREE + PER_BYTE * bytes.len() as u64;
     let (mut kept, mut largest) = (0u64, 0u64);
@@ -129,11 +164,13 @@ fn budget(bytes: &[u8]) -> Result<(), Fault> {
                     break;
                 };
                 kept = kept.saturating_add(u64::from(head.count) * PER_SPLAT);
-                // A chunk that is compressed as a whole hides its streams; each symbol in it is a byte at least.
+                // A chunk that is compressed as a whole hides its streams; each symbol in it is a
+                // byte at least.
                 let symbols = if head.compression.is_empty() {
                     stream_symbols(streams, u64::from(head.count))
                 } else {
-                    head.uncompressed_size.saturating_add(u64::from(head.count).saturating_mul(26))
+                    head.uncompressed_size
+                        .saturating_add(u64::from(head.count).saturating_mul(26))
                 };
                 largest = largest.max(symbols.saturating_mul(PER_SYMBOL));
             }
@@ -156,17 +193,22 @@ fn budget(bytes: &[u8]) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Symbols of the streams that follow one another in `bytes`. A stream with another count than `expected`
-/// is refused by the decoder before it allocates.
+/// Symbols of the streams that follow one another in `bytes`. A stream with another count than
+/// `expected` is refused by the decoder before it allocates.
 fn stream_symbols(mut bytes: &[u8], expected: u64) -> u64 {
     const CONSTANT: u8 = 2;
     let mut symbols = 0u64;
     while let Some((head, rest)) = bytes.split_at_checked(STREAM_HEADER_SIZE) {
         let (mode, channels) = (head[2], u64::from(head[4]));
         let count = u64::from(u32::from_le_bytes([head[5], head[6], head[7], head[8]]));
-        let payload =
-            u64::from_le_bytes([head[9], head[10], head[11], head[12], head[13], head[14], head[15], head[16]]);
-        let rows = if mode == CONSTANT { 1 } else { count.min(expected) };
+        let payload = u64::from_le_bytes([
+            head[9], head[10], head[11], head[12], head[13], head[14], head[15], head[16],
+        ]);
+        let rows = if mode == CONSTANT {
+            1
+        } else {
+            count.min(expected)
+        };
         symbols = symbols.saturating_add(rows * channels);
         let Some(next) = usize::try_from(payload).ok().and_then(|n| rest.get(n..)) else {
             break;

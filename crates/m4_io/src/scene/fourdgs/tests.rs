@@ -12,7 +12,11 @@ use std::path::Path;
 
 fn scene(sh_degree: usize, time_degree: usize, isotropic: bool) -> Scene {
     random_scene(&SceneSpec {
-        layout: SplatLayout { isotropic, sh_degree, time_degree },
+        layout: SplatLayout {
+            isotropic,
+            sh_degree,
+            time_degree,
+        },
         n_static: 300,
         n_dynamic: 400,
         time_frames: 31,
@@ -32,7 +36,10 @@ fn matched(want: &Splats, found: &Splats) -> Vec<usize> {
             let is_static = i < want.n_static();
             let same_kind = |&j: &usize| (j < found.n_static()) == is_static;
             let distance = |&j: &usize| (mean(found, j) - mean(want, i)).norm();
-            (0..found.n()).filter(same_kind).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap()
+            (0..found.n())
+                .filter(same_kind)
+                .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+                .unwrap()
         })
         .collect()
 }
@@ -47,33 +54,62 @@ fn fourdgs_round_trips_within_bounds() {
         let (a, b) = (&*want, &back.splats);
         assert_eq!((a.n_static(), a.n_dynamic()), (b.n_static(), b.n_dynamic()));
         assert_eq!(b.layout().sh_degree, sh_degree);
-        let mut scales: Vec<f32> =
-            (0..a.n()).flat_map(|i| crate::scene::splats::Row::of(a, i).log_scale).map(f32::exp).collect();
+        let mut scales: Vec<f32> = (0..a.n())
+            .flat_map(|i| crate::scene::splats::Row::of(a, i).log_scale)
+            .map(f32::exp)
+            .collect();
         scales.sort_by(f32::total_cmp);
         // bounds of the profile "default" of the format, section 6
         let bound = 0.05 * scales[scales.len() / 2];
         let step_s = 1.25 / 30.0;
         for (i, j) in matched(a, b).into_iter().enumerate() {
-            let (old, new) = (crate::scene::splats::Row::of(a, i), crate::scene::splats::Row::of(b, j));
+            let (old, new) = (
+                crate::scene::splats::Row::of(a, i),
+                crate::scene::splats::Row::of(b, j),
+            );
             for k in 0..3 {
-                assert!((old.mean[k] - new.mean[k]).abs() <= 1.001 * bound, "mean {k} of {i}");
-                assert!((old.log_scale[k] - new.log_scale[k]).abs() <= 0.02, "scale {k} of {i}");
+                assert!(
+                    (old.mean[k] - new.mean[k]).abs() <= 1.001 * bound,
+                    "mean {k} of {i}"
+                );
+                assert!(
+                    (old.log_scale[k] - new.log_scale[k]).abs() <= 0.02,
+                    "scale {k} of {i}"
+                );
             }
             let [p, q] = [old.quat, new.quat].map(|q| Vector4::from(q.map(f64::from)));
             assert!(p.dot(&q).abs() > 1.0 - 1e-4, "rotation of {i}");
             let opacity = |r: &crate::scene::splats::Row| crate::scene::splats::sigmoid(r.opacity);
-            assert!((opacity(&old) - opacity(&new)).abs() < 1.01 / 255.0, "opacity of {i}");
+            assert!(
+                (opacity(&old) - opacity(&new)).abs() < 1.01 / 255.0,
+                "opacity of {i}"
+            );
             for c in 0..a.layout().range(Column::Colour).len() {
-                let (old, new) = (a.column(Column::Colour, c)[i], b.column(Column::Colour, c)[j]);
-                let bound = if c < 3 { 1.01 / 255.0 / 0.2820948 } else { 4.01 / 255.0 };
+                let (old, new) = (
+                    a.column(Column::Colour, c)[i],
+                    b.column(Column::Colour, c)[j],
+                );
+                let bound = if c < 3 {
+                    1.01 / 255.0 / 0.2820948
+                } else {
+                    4.01 / 255.0
+                };
                 // black and white stay what they are, but no more than that
                 let cut = |v: f32| {
-                    if c < 3 { v.clamp(-0.5 / 0.2820948, 0.5 / 0.2820948) } else { v }
+                    if c < 3 {
+                        v.clamp(-0.5 / 0.2820948, 0.5 / 0.2820948)
+                    } else {
+                        v
+                    }
                 };
-                assert!((cut(old) - new).abs() <= bound, "colour {c} of {i}: {old} {new}");
+                assert!(
+                    (cut(old) - new).abs() <= bound,
+                    "colour {c} of {i}: {old} {new}"
+                );
             }
             if let (Some(i), Some(j)) = (i.checked_sub(a.n_static()), j.checked_sub(b.n_static())) {
-                let at = |s: &Splats, column, k: usize, row: usize| f64::from(s.column(column, k)[row]);
+                let at =
+                    |s: &Splats, column, k: usize, row: usize| f64::from(s.column(column, k)[row]);
                 let dt = at(a, Column::TimeMean, 0, i) - at(b, Column::TimeMean, 0, j);
                 assert!(dt.abs() * step_s <= 0.00201, "moment of {i}");
                 let dsd = at(a, Column::LogTimeSd, 0, i) - at(b, Column::LogTimeSd, 0, j);
@@ -82,7 +118,10 @@ fn fourdgs_round_trips_within_bounds() {
                 let life = (at(a, Column::LogTimeSd, 0, i).exp() * 2.448).min(2.0 / step_s);
                 for k in 0..3 {
                     let dv = at(a, Column::Velocity, k, i) - at(b, Column::Velocity, k, j);
-                    assert!(dv.abs() * life <= 2.01 * f64::from(bound), "velocity {k} of {i}");
+                    assert!(
+                        dv.abs() * life <= 2.01 * f64::from(bound),
+                        "velocity {k} of {i}"
+                    );
                 }
             }
         }
@@ -96,7 +135,13 @@ fn extra_metadata_round_trips() {
     let found = parse(name(), &bytes).unwrap();
     let back = &found.scene;
     assert_eq!(
-        (back.background, back.time_frames, back.duration_s, back.mip, back.near),
+        (
+            back.background,
+            back.time_frames,
+            back.duration_s,
+            back.mip,
+            back.near
+        ),
         (scene.background, 31, Some(1.25), true, 0.02)
     );
     assert_eq!(found.up, Some([0.0, -1.0, 0.0]));
@@ -107,7 +152,11 @@ fn extra_metadata_round_trips() {
         assert!((a.t - b.t).abs() < 1e-9);
         assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-12);
     }
-    assert!(losses.iter().any(|l| matches!(l, Loss::Dropped(what) if what.contains("Mip"))));
+    assert!(
+        losses
+            .iter()
+            .any(|l| matches!(l, Loss::Dropped(what) if what.contains("Mip")))
+    );
     assert!(!losses.iter().any(|l| matches!(l, Loss::Baked(_))));
 }
 
@@ -119,9 +168,16 @@ fn scenes_without_duration_use_30_frames_per_second() {
     let (bytes, losses) = encode(name(), &scene).unwrap();
     let header = ::fourdgs::read_bytes(&bytes).unwrap().header;
     assert!((header.duration_sec - 31.0 / 30.0).abs() < 1e-6);
-    let baked = losses.iter().filter(|l| matches!(l, Loss::Baked(_))).count();
+    let baked = losses
+        .iter()
+        .filter(|l| matches!(l, Loss::Baked(_)))
+        .count();
     assert_eq!(baked, 2, "seconds and harmonics of time: {losses:?}");
-    assert!(losses.iter().any(|l| l.to_string() == "dropped: the exposure of every frame"));
+    assert!(
+        losses
+            .iter()
+            .any(|l| l.to_string() == "dropped: the exposure of every frame")
+    );
     let back = parse(name(), &bytes).unwrap().scene;
     assert_eq!((back.time_frames, back.duration_s), (31, None));
     assert!((back.source[30].t - 30.0).abs() < 1e-9);
@@ -133,7 +189,10 @@ fn changed_values_fail_verification() {
     let scene = scene(1, 0, false);
     let (bytes, _) = encode(name(), &scene).unwrap();
     let mut file = ::fourdgs::read_bytes(&bytes).unwrap();
-    let clip = super::convert::Clip { step_s: 1.25 / 30.0, frames: 31 };
+    let clip = super::convert::Clip {
+        step_s: 1.25 / 30.0,
+        frames: 31,
+    };
     let (set, _) = super::convert::to_set(&scene.splats, &clip);
     let mut scales = set.scales.clone();
     scales.sort_by(f32::total_cmp);
@@ -141,8 +200,15 @@ fn changed_values_fail_verification() {
     let median = 0.5 * (f64::from(scales[middle - 1]) + f64::from(scales[middle]));
     let bounds = Bounds::for_profile(Profile::Default, median);
     super::convert::verify(&set, &bounds, &file).unwrap();
-    let tight = Bounds { pos: 0.5 * bounds.pos, ..bounds };
-    assert!(super::convert::verify(&set, &tight, &file).unwrap_err().contains("position"));
+    let tight = Bounds {
+        pos: 0.5 * bounds.pos,
+        ..bounds
+    };
+    assert!(
+        super::convert::verify(&set, &tight, &file)
+            .unwrap_err()
+            .contains("position")
+    );
     file.gaussians.mu_t[600] = f32::from_bits(file.gaussians.mu_t[600].to_bits() + 1);
     assert!(super::convert::verify(&set, &bounds, &file).is_err());
     file.gaussians.mu_t.pop();
@@ -176,7 +242,10 @@ fn foreign(change: impl FnOnce(&mut ::fourdgs::GaussianSet)) -> Vec<u8> {
         ..::fourdgs::GaussianSet::default()
     };
     change(&mut set);
-    let options = ::fourdgs::WriteOptions { verify: false, ..::fourdgs::WriteOptions::default() };
+    let options = ::fourdgs::WriteOptions {
+        verify: false,
+        ..::fourdgs::WriteOptions::default()
+    };
     ::fourdgs::write_to_vec(&set, 2.0, &options, &::fourdgs::SceneExtras::default()).unwrap()
 }
 
@@ -201,14 +270,24 @@ fn fourdgs_of_other_tools_gets_a_clock() {
     .unwrap();
     let splats = &sudden.scene.splats;
     assert_eq!(splats.n_dynamic(), 2);
-    let row = (0..2).find(|&i| (splats.column(Column::LogTimeSd, 0)[i] - 6f32.ln()).abs() > 0.02).unwrap();
+    let row = (0..2)
+        .find(|&i| (splats.column(Column::LogTimeSd, 0)[i] - 6f32.ln()).abs() > 0.02)
+        .unwrap();
     assert!((splats.column(Column::TimeMean, 0)[row] - 30.0).abs() < 0.1);
     let sd = f64::from(splats.column(Column::LogTimeSd, 0)[row]).exp();
     assert!(((-0.5 * (15.0 / sd).powi(2)).exp() - 0.05).abs() < 1e-4);
-    assert!(matches!(&sudden.losses[..], [Loss::Baked(_)]), "{:?}", sudden.losses);
+    assert!(
+        matches!(&sudden.losses[..], [Loss::Baked(_)]),
+        "{:?}",
+        sudden.losses
+    );
 
     let cut = parse(name(), &foreign(|set| set.win_lo[1] = 0.9)).unwrap();
-    assert!(matches!(&cut.losses[..], [Loss::Dropped(_)]), "{:?}", cut.losses);
+    assert!(
+        matches!(&cut.losses[..], [Loss::Dropped(_)]),
+        "{:?}",
+        cut.losses
+    );
 }
 
 #[test]
@@ -226,8 +305,13 @@ fn a_small_file_cannot_ask_for_much_memory() {
         win_hi: vec![1.0; n],
         ..::fourdgs::GaussianSet::default()
     };
-    let options = ::fourdgs::WriteOptions { verify: false, ..::fourdgs::WriteOptions::default() };
-    let bytes = |n| ::fourdgs::write_to_vec(&set(n), 1.0, &options, &::fourdgs::SceneExtras::default()).unwrap();
+    let options = ::fourdgs::WriteOptions {
+        verify: false,
+        ..::fourdgs::WriteOptions::default()
+    };
+    let bytes = |n| {
+        ::fourdgs::write_to_vec(&set(n), 1.0, &options, &::fourdgs::SceneExtras::default()).unwrap()
+    };
     let large = bytes(1_000_000);
     assert!(large.len() < 2000);
     let error = parse(name(), &large).unwrap_err();

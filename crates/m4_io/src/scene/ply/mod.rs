@@ -10,10 +10,11 @@
 //! rot_0..3         quaternion (w, x, y, z)
 //! ```
 //!
-//! Where opacities want the Mip filter, a comment says so as Brush writes it and splat-transform and others read it:
-//! `SplatRenderMode: mip`.
+//! Where opacities want the Mip filter, a comment says so as Brush writes it and splat-transform
+//! and others read it: `SplatRenderMode: mip`.
 //!
-//! Read are also: other orders of the properties, missing normals, harmonics of degree 0 to 3, and further properties.
+//! Read are also: other orders of the properties, missing normals, harmonics of degree 0 to 3, and
+//! further properties.
 
 mod read;
 pub use read::{parse, read};
@@ -43,10 +44,18 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
     }
     let unseen = scene.splats.n() - splats.n();
     if unseen > 0 {
-        losses.push(Loss::Dropped(format!("{} that this instant does not see", plural(unseen, "splat"))));
+        losses.push(Loss::Dropped(format!(
+            "{} that this instant does not see",
+            plural(unseen, "splat")
+        )));
     }
     losses.extend(unheld(scene));
-    Ok(Written { path: path.to_path_buf(), bytes: bytes.len() as u64, splats: splats.n(), losses })
+    Ok(Written {
+        path: path.to_path_buf(),
+        bytes: bytes.len() as u64,
+        splats: splats.n(),
+        losses,
+    })
 }
 
 /// The splats of an instant, frames.
@@ -58,8 +67,9 @@ fn seen(scene: &Scene, splats: &Splats, t: f64) -> Splats {
 pub(super) fn unheld(scene: &Scene) -> Vec<Loss> {
     let mut losses = Vec::new();
     if scene.mip {
-        losses
-            .push(Loss::Dropped("the Mip filter, for players that do not know the comment SplatRenderMode".to_owned()));
+        losses.push(Loss::Dropped(
+            "the Mip filter, for players that do not know the comment SplatRenderMode".to_owned(),
+        ));
     }
     if !scene.source.is_empty() {
         losses.push(Loss::Dropped("the cameras of the video".to_owned()));
@@ -74,7 +84,11 @@ pub(super) fn unheld(scene: &Scene) -> Vec<Loss> {
 fn encode(splats: &Splats, t: f64, mip: bool) -> Vec<u8> {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "comment minute4d {}, frame {t}", env!("CARGO_PKG_VERSION"));
+    let _ = writeln!(
+        text,
+        "comment minute4d {}, frame {t}",
+        env!("CARGO_PKG_VERSION")
+    );
     if mip {
         text.push_str(MIP_COMMENT);
     }
@@ -95,10 +109,18 @@ fn encode(splats: &Splats, t: f64, mip: bool) -> Vec<u8> {
 
 /// The names of the properties of splats of a degree.
 pub(super) fn properties(sh_degree: usize) -> impl Iterator<Item = String> {
-    let start = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
-    let end = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+    let start = [
+        "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
+    ];
+    let end = [
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ];
     let rest = (0..3 * ((sh_degree + 1) * (sh_degree + 1) - 1)).map(|k| format!("f_rest_{k}"));
-    start.into_iter().map(str::to_owned).chain(rest).chain(end.into_iter().map(str::to_owned))
+    start
+        .into_iter()
+        .map(str::to_owned)
+        .chain(rest)
+        .chain(end.into_iter().map(str::to_owned))
 }
 
 /// The numbers of splat `i`, in the order of [`properties`].
@@ -107,8 +129,16 @@ pub(super) fn numbers(splats: &Splats, i: usize) -> impl Iterator<Item = f32> {
     let terms = splats.layout().sh_terms() - 1;
     let colour = move |k: usize| splats.column(Column::Colour, k)[i];
     let harmonics = (0..3 * terms).map(move |k| colour(3 * (k % terms + 1) + k / terms));
-    let start = row.mean.into_iter().chain([0.0; 3]).chain((0..3).map(colour));
-    start.chain(harmonics).chain([row.opacity]).chain(row.log_scale).chain(row.quat)
+    let start = row
+        .mean
+        .into_iter()
+        .chain([0.0; 3])
+        .chain((0..3).map(colour));
+    start
+        .chain(harmonics)
+        .chain([row.opacity])
+        .chain(row.log_scale)
+        .chain(row.quat)
 }
 
 /// Name of file `i` of a sequence: `frame_00012.ply`.
@@ -117,9 +147,12 @@ pub fn frame_name(i: usize) -> String {
     format!("frame_{i:05}.ply")
 }
 
-/// Writes a file for each of `times` (frames) into `folder`, in the place of those of an earlier sequence once all are complete.
-/// `splats_at` gives the splats of the scene for a moment: the same, or with what is drawn of bound ones then. `each` is called after every file, and may stop the work by returning false; nothing is replaced then. Fails when the scene has
-/// values that are NaN or infinite, `splats_at` gives bound splats, where other files have those names, or the file system refuses.
+/// Writes a file for each of `times` (frames) into `folder`, in the place of those of an earlier
+/// sequence once all are complete. `splats_at` gives the splats of the scene for a moment: the
+/// same, or with what is drawn of bound ones then. `each` is called after every file, and may stop
+/// the work by returning false; nothing is replaced then. Fails when the scene has values that are
+/// NaN or infinite, `splats_at` gives bound splats, where other files have those names, or the file
+/// system refuses.
 pub fn write_sequence<'a>(
     folder: &Path,
     scene: &Scene,
@@ -132,7 +165,12 @@ pub fn write_sequence<'a>(
     let names: Vec<String> = (0..times.len()).map(frame_name).collect();
     results.check_free(names.iter().map(String::as_str))?;
     let next = results.begin()?;
-    let mut written = Written { path: folder.to_path_buf(), bytes: 0, splats: 0, losses: Vec::new() };
+    let mut written = Written {
+        path: folder.to_path_buf(),
+        bytes: 0,
+        splats: 0,
+        losses: Vec::new(),
+    };
     for (i, &t) in times.iter().enumerate() {
         let path = next.join(&names[i]);
         let all = splats_at(t);
@@ -149,7 +187,9 @@ pub fn write_sequence<'a>(
     }
     results.commit(None)?;
     if scene.splats.n_dynamic() > 0 {
-        written.losses.push(Loss::Baked(format!("time, at {} instants", times.len())));
+        written
+            .losses
+            .push(Loss::Baked(format!("time, at {} instants", times.len())));
     }
     written.losses.extend(unheld(scene));
     Ok(written)
@@ -170,14 +210,23 @@ mod tests {
 
     fn scene(sh_degree: usize) -> Scene {
         let scene = random_scene(&SceneSpec {
-            layout: SplatLayout { isotropic: false, sh_degree, time_degree: 0 },
+            layout: SplatLayout {
+                isotropic: false,
+                sh_degree,
+                time_degree: 0,
+            },
             n_static: 50,
             n_dynamic: 70,
             time_frames: 11,
             ..SceneSpec::default()
         });
         // what a PLY file has no place for
-        Scene { background: [0.0; 3], mip: false, source: Vec::new(), ..scene }
+        Scene {
+            background: [0.0; 3],
+            mip: false,
+            source: Vec::new(),
+            ..scene
+        }
     }
 
     #[test]
@@ -188,7 +237,10 @@ mod tests {
             let path = dir.path().join("a.ply");
             let written = write(&path, &scene, 4.0).unwrap();
             let seen = crate::scene::instant(&scene.splats, 4.0, 10.0);
-            assert_eq!((written.splats, written.bytes), (seen.n(), std::fs::metadata(&path).unwrap().len()));
+            assert_eq!(
+                (written.splats, written.bytes),
+                (seen.n(), std::fs::metadata(&path).unwrap().len())
+            );
             assert!(seen.n() > 50 && seen.n() < 120);
             let back = read(&path).unwrap();
             assert!(back.losses.is_empty());
@@ -202,9 +254,15 @@ mod tests {
             for c in 0..unit.columns().len() {
                 // a quaternion of length 1 may lose a bit when it is normalised again
                 let close = |a: &f32, b: &f32| (a - b).abs() <= f32::EPSILON * a.abs().max(0.5);
-                let same = unit.columns()[c].iter().zip(&back.scene.splats.columns()[c]);
+                let same = unit.columns()[c]
+                    .iter()
+                    .zip(&back.scene.splats.columns()[c]);
                 let is_quat = unit.layout().range(Column::Quat).contains(&c);
-                assert!(same.clone().all(|(a, b)| if is_quat { close(a, b) } else { a == b }), "column {c}");
+                assert!(
+                    same.clone()
+                        .all(|(a, b)| if is_quat { close(a, b) } else { a == b }),
+                    "column {c}"
+                );
             }
         }
     }
@@ -219,7 +277,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (path, scene) = (dir.path().join("a.ply"), scene(2));
         write(&path, &scene, 4.0).unwrap();
-        let file: File = serde_ply::from_reader(std::io::BufReader::new(std::fs::File::open(&path).unwrap())).unwrap();
+        let file: File =
+            serde_ply::from_reader(std::io::BufReader::new(std::fs::File::open(&path).unwrap()))
+                .unwrap();
         let seen = crate::scene::instant(&scene.splats, 4.0, 10.0);
         assert_eq!(file.vertex.len(), seen.n());
         for (i, vertex) in file.vertex.iter().enumerate() {
@@ -230,7 +290,10 @@ mod tests {
             assert_eq!(vertex["opacity"], seen.column(Column::Opacity, 0)[i]);
             assert_eq!(vertex["f_dc_1"], seen.column(Column::Colour, 1)[i]);
             // green of the third of eight terms: channel major
-            assert_eq!(vertex["f_rest_10"], seen.column(Column::Colour, 3 * 3 + 1)[i]);
+            assert_eq!(
+                vertex["f_rest_10"],
+                seen.column(Column::Colour, 3 * 3 + 1)[i]
+            );
             let norm: f32 = (0..4).map(|k| vertex[&format!("rot_{k}")].powi(2)).sum();
             assert!((norm - 1.0).abs() < 1e-6);
         }
@@ -244,12 +307,26 @@ mod tests {
         write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], same, |_| true).unwrap();
         let written = write_sequence(dir.path(), &scene, &[0.0, 10.0], same, |_| true).unwrap();
         assert!(!dir.path().join(frame_name(2)).exists());
-        let counts: Vec<usize> =
-            (0..2).map(|i| read(&dir.path().join(frame_name(i))).unwrap().scene.splats.n()).collect();
+        let counts: Vec<usize> = (0..2)
+            .map(|i| {
+                read(&dir.path().join(frame_name(i)))
+                    .unwrap()
+                    .scene
+                    .splats
+                    .n()
+            })
+            .collect();
         assert_eq!(counts.iter().sum::<usize>(), written.splats);
-        assert_eq!(counts[0], crate::scene::instant(&scene.splats, 0.0, 10.0).n());
-        let stopped = write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], same, |done| done < 2).unwrap();
-        assert_eq!(stopped.splats, counts[0] + crate::scene::instant(&scene.splats, 5.0, 10.0).n());
+        assert_eq!(
+            counts[0],
+            crate::scene::instant(&scene.splats, 0.0, 10.0).n()
+        );
+        let stopped =
+            write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], same, |done| done < 2).unwrap();
+        assert_eq!(
+            stopped.splats,
+            counts[0] + crate::scene::instant(&scene.splats, 5.0, 10.0).n()
+        );
     }
 
     #[test]
@@ -261,8 +338,18 @@ mod tests {
             let written = write(&path, &scene, 4.0).unwrap();
             let bytes = std::fs::read(&path).unwrap();
             let text = String::from_utf8_lossy(&bytes[..400]).into_owned();
-            assert_eq!(text.contains("\ncomment SplatRenderMode: mip\nelement vertex"), mip, "{text}");
-            assert_eq!(written.losses.iter().any(|l| l.to_string().contains("Mip filter")), mip);
+            assert_eq!(
+                text.contains("\ncomment SplatRenderMode: mip\nelement vertex"),
+                mip,
+                "{text}"
+            );
+            assert_eq!(
+                written
+                    .losses
+                    .iter()
+                    .any(|l| l.to_string().contains("Mip filter")),
+                mip
+            );
             assert_eq!(read(&path).unwrap().scene.splats.n(), written.splats);
         }
     }
@@ -272,7 +359,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (path, bound) = (dir.path().join("a.ply"), bound_scene(&SceneSpec::default()));
         let error = write(&path, &bound, 4.0).unwrap_err().to_string();
-        assert!(error.contains("20 splats bound to nodes") && error.contains("pose::at"), "{error}");
+        assert!(
+            error.contains("20 splats bound to nodes") && error.contains("pose::at"),
+            "{error}"
+        );
         let same = |_| Cow::Borrowed(&bound.splats);
         assert!(write_sequence(dir.path(), &bound, &[0.0, 5.0], same, |_| true).is_err());
         assert!(!path.exists() && !dir.path().join(frame_name(0)).exists());
@@ -280,9 +370,12 @@ mod tests {
 
     #[test]
     fn ply_property_orders_are_read() {
-        let mut bytes = b"ply\r\nformat binary_little_endian 1.0\ncomment by hand\nelement vertex 1\n".to_vec();
+        let mut bytes =
+            b"ply\r\nformat binary_little_endian 1.0\ncomment by hand\nelement vertex 1\n".to_vec();
         bytes.extend(b"property uchar red\nproperty double trbf_center\n");
-        let names = ["rot_3", "rot_2", "rot_1", "rot_0", "f_dc_2", "f_dc_1", "f_dc_0", "opacity"];
+        let names = [
+            "rot_3", "rot_2", "rot_1", "rot_0", "f_dc_2", "f_dc_1", "f_dc_0", "opacity",
+        ];
         let more = ["scale_0", "scale_1", "scale_2", "x", "y", "z"];
         for name in names.iter().chain(&more) {
             bytes.extend(format!("property float32 {name}\n").bytes());
@@ -296,25 +389,40 @@ mod tests {
         }
         let found = parse(Path::new("other.ply"), &bytes).unwrap();
         let splats = found.scene.splats;
-        assert_eq!((splats.n_static(), splats.n_dynamic(), found.scene.time_frames), (1, 0, 1));
+        assert_eq!(
+            (
+                splats.n_static(),
+                splats.n_dynamic(),
+                found.scene.time_frames
+            ),
+            (1, 0, 1)
+        );
         let row = Row::of(&splats, 0);
-        assert_eq!((row.mean, row.log_scale, row.opacity), ([12.0, 13.0, 14.0], [-20.0, 10.0, 11.0], 8.0));
+        assert_eq!(
+            (row.mean, row.log_scale, row.opacity),
+            ([12.0, 13.0, 14.0], [-20.0, 10.0, 11.0], 8.0)
+        );
         assert_eq!(splats.column(Column::Colour, 0), &[7.0]);
         assert!((row.quat[0] - 4.0 / 30f32.sqrt()).abs() < 1e-6);
-        assert!(matches!(&found.losses[..], [Loss::Dropped(what)] if what.contains("red, trbf_center")));
+        assert!(
+            matches!(&found.losses[..], [Loss::Dropped(what)] if what.contains("red, trbf_center"))
+        );
     }
 
     #[test]
     fn malformed_ply_is_rejected_with_a_reason() {
         let at = Path::new("other.ply");
         let head = |count: &str, names: &[&str]| {
-            let properties: String = names.iter().map(|n| format!("property float {n}\n")).collect();
+            let properties: String = names
+                .iter()
+                .map(|n| format!("property float {n}\n"))
+                .collect();
             format!("ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n")
                 .into_bytes()
         };
         let all = [
-            "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "f_dc_0",
-            "f_dc_1", "f_dc_2",
+            "x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",
+            "rot_3", "f_dc_0", "f_dc_1", "f_dc_2",
         ];
         let mut huge = head("4000000000000000000", &all);
         huge.extend([0; 560]);
@@ -331,11 +439,23 @@ mod tests {
         assert!(nan.to_string().contains("of splat 0 is NaN"), "{nan}");
         for left_out in ["x", "opacity", "scale_2", "rot_2", "f_dc_1"] {
             let names: Vec<&str> = all.into_iter().filter(|n| *n != left_out).collect();
-            assert_eq!(one(&names, 0.5).unwrap_err().kind(), ErrorKind::Unsupported, "{left_out}");
+            assert_eq!(
+                one(&names, 0.5).unwrap_err().kind(),
+                ErrorKind::Unsupported,
+                "{left_out}"
+            );
         }
         let rest: Vec<String> = (0..5).map(|k| format!("f_rest_{k}")).collect();
-        let names: Vec<&str> = all.into_iter().chain(rest.iter().map(String::as_str)).collect();
-        assert!(one(&names, 0.5).unwrap_err().to_string().contains("5 properties f_rest_"));
+        let names: Vec<&str> = all
+            .into_iter()
+            .chain(rest.iter().map(String::as_str))
+            .collect();
+        assert!(
+            one(&names, 0.5)
+                .unwrap_err()
+                .to_string()
+                .contains("5 properties f_rest_")
+        );
         for (text, reason) in [
             ("\u{89}PNG\n", "not a PLY file"),
             ("ply\nformat ascii 1.0\n", "stored as ascii"),
@@ -346,11 +466,23 @@ mod tests {
             ("ply\nend_header\n", "damaged"),
             ("ply\nproperty float x\nend_header\n", "damaged"),
             ("ply\nelement vertex -1\nend_header\n", "damaged"),
-            ("ply\nelement vertex 99999999999999999999\nend_header\n", "damaged"),
-            ("ply\nelement vertex 1\nproperty quad x\nend_header\n", "damaged"),
+            (
+                "ply\nelement vertex 99999999999999999999\nend_header\n",
+                "damaged",
+            ),
+            (
+                "ply\nelement vertex 1\nproperty quad x\nend_header\n",
+                "damaged",
+            ),
             ("ply\nelement vertex 1\n", "damaged"),
-            ("ply\nformat binary_little_endian 2.0\nend_header\n", "damaged"),
-            ("ply\nelement vertex 1\nproperty list uchar int i\nend_header\n", "lists"),
+            (
+                "ply\nformat binary_little_endian 2.0\nend_header\n",
+                "damaged",
+            ),
+            (
+                "ply\nelement vertex 1\nproperty list uchar int i\nend_header\n",
+                "lists",
+            ),
         ] {
             let error = parse(at, text.as_bytes()).unwrap_err().to_string();
             assert!(error.contains(reason), "{text}: {error}");

@@ -11,7 +11,8 @@ use std::path::Path;
 
 /// Near plane of a file, which says nothing of it, world units.
 const NEAR: f32 = 0.01;
-/// What an infinite logit or logarithm is read as; converters that take the logarithm of a byte write infinities.
+/// What an infinite logit or logarithm is read as; converters that take the logarithm of a byte
+/// write infinities.
 const BEYOND: f32 = 20.0;
 /// Longest header that is read, bytes.
 const MAX_HEADER: usize = 64 << 10;
@@ -27,7 +28,10 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadError> {
 }
 
 fn unsupported(reason: impl Into<String>) -> Fault {
-    Fault::unsupported(reason, "give a PLY file of splats as 3DGS writes it, binary and little-endian")
+    Fault::unsupported(
+        reason,
+        "give a PLY file of splats as 3DGS writes it, binary and little-endian",
+    )
 }
 
 fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
@@ -46,7 +50,8 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
         24 => 2,
         45 => 3,
         n => {
-            let what = format!("it has {n} properties f_rest_, and harmonics come 9, 24 or 45 at a time");
+            let what =
+                format!("it has {n} properties f_rest_, and harmonics come 9, 24 or 45 at a time");
             return Err(unsupported(what));
         }
     };
@@ -55,7 +60,11 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
         let number = |column: Column, at: usize| {
             let value = table.number(i, at);
             let range = range::of_column(column);
-            if range.contains(&f64::from(value)) { Ok(value) } else { Err(table.bad(i, at, value, &range)) }
+            if range.contains(&f64::from(value)) {
+                Ok(value)
+            } else {
+                Err(table.bad(i, at, value, &range))
+            }
         };
         let bounded = |column: Column, at: usize| match table.number(i, at) {
             value if value.is_infinite() => Ok(BEYOND.copysign(value)),
@@ -84,12 +93,19 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
     let splats = collect(sh_degree, &rows, |i, out| {
         for (k, &at) in colour.iter().enumerate() {
             // the constants of three channels, then the other harmonics channel by channel
-            let to = if k < 3 { k } else { 3 * ((k - 3) % (terms - 1) + 1) + (k - 3) / (terms - 1) };
+            let to = if k < 3 {
+                k
+            } else {
+                3 * ((k - 3) % (terms - 1) + 1) + (k - 3) / (terms - 1)
+            };
             out[to] = table.number(i, at);
         }
     });
     let used: Vec<usize> = [&mean[..], &[opacity], &scale, &quat, &colour].concat();
-    let others = table.properties.iter().filter(|p| !used.contains(&p.offset) && !["nx", "ny", "nz"].contains(&p.name));
+    let others = table
+        .properties
+        .iter()
+        .filter(|p| !used.contains(&p.offset) && !["nx", "ny", "nz"].contains(&p.name));
     Ok(Imported {
         scene: Scene {
             splats,
@@ -105,15 +121,23 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
     })
 }
 
-/// What the file has besides: such as the motion of formats that keep splats with time in PLY files.
+/// What the file has besides: such as the motion of formats that keep splats with time in PLY
+/// files.
 fn unknown(mut names: Vec<&str>) -> Vec<Loss> {
     if names.is_empty() {
         return Vec::new();
     }
     let more = names.len().saturating_sub(8);
     names.truncate(8);
-    let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
-    vec![Loss::Dropped(format!("properties that are not known here: {}{rest}", names.join(", ")))]
+    let rest = if more > 0 {
+        format!(" and {more} more")
+    } else {
+        String::new()
+    };
+    vec![Loss::Dropped(format!(
+        "properties that are not known here: {}{rest}",
+        names.join(", ")
+    ))]
 }
 
 /// A number of each row.
@@ -151,7 +175,10 @@ impl<'a> Table<'a> {
         };
         if next() != Some("ply") {
             let what = "it is not a PLY file: it does not start with \"ply\"";
-            return Err(Fault::bad(what, "check the name, or import it as another format"));
+            return Err(Fault::bad(
+                what,
+                "check the name, or import it as another format",
+            ));
         }
         let (mut has_format, mut tables, mut rows, mut stride) = (false, 0, 0, 0usize);
         let mut properties: Vec<Property<'a>> = Vec::new();
@@ -169,17 +196,25 @@ impl<'a> Table<'a> {
                 ["element", name, count] => {
                     tables += 1;
                     if tables == 1 && name != "vertex" {
-                        let compressed = bytes.windows(15).take(MAX_HEADER).any(|w| w == b"packed_position");
+                        let compressed = bytes
+                            .windows(15)
+                            .take(MAX_HEADER)
+                            .any(|w| w == b"packed_position");
                         return Err(unsupported(if compressed {
-                            "it is a compressed PLY; splat-transform turns it into a plain one".to_owned()
+                            "it is a compressed PLY; splat-transform turns it into a plain one"
+                                .to_owned()
                         } else {
                             format!("its first table is {name:?} and not one of vertices")
                         }));
                     }
-                    let count = count.parse().map_err(|_| bad("a count that is not a number", line))?;
+                    let count = count
+                        .parse()
+                        .map_err(|_| bad("a count that is not a number", line))?;
                     rows = if tables == 1 { count } else { rows };
                 }
-                ["property", ..] if tables == 0 => return Err(bad("a property before the first element", line)),
+                ["property", ..] if tables == 0 => {
+                    return Err(bad("a property before the first element", line));
+                }
                 ["property", ..] if tables > 1 => {}
                 ["property", "list", ..] => return Err(unsupported("its vertices have lists")),
                 ["property", kind, name] => {
@@ -212,16 +247,25 @@ impl<'a> Table<'a> {
                 rest.len()
             )));
         }
-        Ok(Self { rows, stride, properties, numbers: rest })
+        Ok(Self {
+            rows,
+            stride,
+            properties,
+            numbers: rest,
+        })
     }
 
     /// Where the numbers of a property lie in a row; `None` where there is none of 32 bits.
     fn place(&self, name: &str) -> Option<usize> {
-        self.properties.iter().find(|p| p.name == name && p.is_float).map(|p| p.offset)
+        self.properties
+            .iter()
+            .find(|p| p.name == name && p.is_float)
+            .map(|p| p.offset)
     }
 
     fn need(&self, name: &str) -> Result<usize, Fault> {
-        self.place(name).ok_or_else(|| unsupported(format!("it has no property {name} of type float")))
+        self.place(name)
+            .ok_or_else(|| unsupported(format!("it has no property {name} of type float")))
     }
 
     /// The number at `place` of a row.
@@ -231,8 +275,14 @@ impl<'a> Table<'a> {
     }
 
     fn bad(&self, row: usize, place: usize, value: f32, range: &Range) -> Fault {
-        let name = self.properties.iter().find(|p| p.offset == place).map_or("a property", |p| p.name);
+        let name = self
+            .properties
+            .iter()
+            .find(|p| p.offset == place)
+            .map_or("a property", |p| p.name);
         let expected = range::words(range, "");
-        Fault::damaged(format!("{name} of splat {row} is {value:e}; {expected} was expected"))
+        Fault::damaged(format!(
+            "{name} of splat {row} is {value:e}; {expected} was expected"
+        ))
     }
 }

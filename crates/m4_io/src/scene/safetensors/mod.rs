@@ -18,7 +18,8 @@
 //! state.NAME          any                   what training handed over, as it was
 //! ```
 //!
-//! With windows and bound splats ([`m4_core::Binding`]; the first of the dynamic ones), in files of version 2, also:
+//! With windows and bound splats ([`m4_core::Binding`]; the first of the dynamic ones), in files of
+//! version 2, also:
 //!
 //! ```text
 //! windows.counts      u32 [windows, 2]      keys and nodes of each; in the next four the windows follow each other
@@ -33,8 +34,9 @@
 //! bound.trend         f32 [bound, 3]        change of the colour a frame
 //! ```
 //!
-//! The metadata has one key, `minute4d_scene`: JSON with the version of the format, what is not an array (background, near,
-//! ...), the caller's own key-value pairs, and a BLAKE3 checksum over all of it, which is compared on every read.
+//! The metadata has one key, `minute4d_scene`: JSON with the version of the format, what is not an
+//! array (background, near, ...), the caller's own key-value pairs, and a BLAKE3 checksum over all
+//! of it, which is compared on every read.
 
 mod bound;
 mod read;
@@ -52,13 +54,15 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;
 use tensor::{
-    Facts, Header, KEY, Source, Sources, UNBOUND_VERSION, VERSION, checksum, source_to_arrays, splats_to_arrays,
+    Facts, Header, KEY, Source, Sources, UNBOUND_VERSION, VERSION, checksum, source_to_arrays,
+    splats_to_arrays,
 };
 
 /// Writes a scene, the state of its training where there is one, and pairs of the caller's own.
 ///
-/// The file is read back before it takes its name, so that success means that the scene is on disk. Fails when the file
-/// system refuses, a parameter is not a finite number, or an array of the state does not have the length of its shape.
+/// The file is read back before it takes its name, so that success means that the scene is on disk.
+/// Fails when the file system refuses, a parameter is not a finite number, or an array of the state
+/// does not have the length of its shape.
 pub fn write(
     path: &Path,
     scene: &Scene,
@@ -90,7 +94,11 @@ pub fn write(
     };
     let bad = |what: String| WriteError::bad(path, what);
     let header = Header {
-        version: if facts.splats_bound.is_some() { VERSION } else { UNBOUND_VERSION },
+        version: if facts.splats_bound.is_some() {
+            VERSION
+        } else {
+            UNBOUND_VERSION
+        },
         blake3: checksum(&facts, metadata, &arrays).map_err(|e| bad(e.to_string()))?,
         scene: facts,
         metadata: metadata.clone(),
@@ -103,18 +111,23 @@ pub fn write(
 fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(), WriteError> {
     let bad = |what: String| WriteError::bad(path, what);
     if !scene.splats.is_finite() {
-        return Err(bad("a parameter of a splat is not a finite number; lower the learning rates".into()));
+        return Err(bad(
+            "a parameter of a splat is not a finite number; lower the learning rates".into(),
+        ));
     }
     if let Some(what) = fault(scene) {
         return Err(bad(what));
     }
     for (name, array) in state.into_iter().flatten() {
-        array.check().map_err(|e| bad(format!("state {name:?}: {e}")))?;
+        array
+            .check()
+            .map_err(|e| bad(format!("state {name:?}: {e}")))?;
     }
     Ok(())
 }
 
-/// Writes arrays piece by piece, so that no copy is in memory, and reads them back before they are published.
+/// Writes arrays piece by piece, so that no copy is in memory, and reads them back before they are
+/// published.
 fn save(path: &Path, arrays: &Sources<'_>, header: String) -> Result<(), WriteError> {
     let io = |e| WriteError::io(path, e);
     let bad = |what: String| WriteError::bad(path, what);
@@ -131,14 +144,19 @@ fn save(path: &Path, arrays: &Sources<'_>, header: String) -> Result<(), WriteEr
     file.publish(path).map(|_| ())
 }
 
-/// The head of a safetensors file: its length in 8 bytes, then JSON, padded so that arrays start at a multiple of 8.
+/// The head of a safetensors file: its length in 8 bytes, then JSON, padded so that arrays start at
+/// a multiple of 8.
 fn head(arrays: &[(&String, &Source<'_>)], header: String) -> Result<Vec<u8>, String> {
     let mut offset = 0;
     let mut infos = Vec::with_capacity(arrays.len());
     for (name, array) in arrays {
         let start = offset;
         offset += array.bytes();
-        let info = TensorInfo { dtype: array.dtype(), shape: array.shape().to_vec(), data_offsets: (start, offset) };
+        let info = TensorInfo {
+            dtype: array.dtype(),
+            shape: array.shape().to_vec(),
+            data_offsets: (start, offset),
+        };
         infos.push(((*name).clone(), info));
     }
     // One key alone: with more, their order would change from run to run.

@@ -1,14 +1,18 @@
-//! The header of a scene file, and arrays that are copied between memory and files, little-endian, in pieces.
+//! The header of a scene file, and arrays that are copied between memory and files, little-endian,
+//! in pieces.
 
 use crate::{Fault, shortened};
 use m4_core::nalgebra::{Matrix3, Vector3};
-use m4_core::{Camera, Column, Exposure, Intrinsics, Se3, SourceFrame, SplatLayout, Splats, StateTensor};
+use m4_core::{
+    Camera, Column, Exposure, Intrinsics, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
+};
 use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// Numbers that are turned into bytes at once: enough to keep writing fast, little beside the arrays.
+/// Numbers that are turned into bytes at once: enough to keep writing fast, little beside the
+/// arrays.
 const PIECE: usize = 16_384;
 
 /// An array to write, from where it lies.
@@ -16,8 +20,12 @@ const PIECE: usize = 16_384;
 pub enum Source<'a> {
     /// As it is.
     Array(StateTensor<'a>),
-    /// Columns of the same length woven together: element `[row, column]`. The shape may split the second axis up.
-    Woven { shape: Vec<usize>, columns: &'a [Vec<f32>] },
+    /// Columns of the same length woven together: element `[row, column]`. The shape may split the
+    /// second axis up.
+    Woven {
+        shape: Vec<usize>,
+        columns: &'a [Vec<f32>],
+    },
 }
 
 impl Source<'_> {
@@ -56,10 +64,18 @@ impl Source<'_> {
     pub fn pieces<E>(&self, mut take: impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E> {
         let mut buffer = Vec::new();
         match self {
-            Self::Array(StateTensor::F32 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
-            Self::Array(StateTensor::U32 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
-            Self::Array(StateTensor::F64 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
-            Self::Array(StateTensor::U16 { data, .. }) => numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take),
+            Self::Array(StateTensor::F32 { data, .. }) => {
+                numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take)
+            }
+            Self::Array(StateTensor::U32 { data, .. }) => {
+                numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take)
+            }
+            Self::Array(StateTensor::F64 { data, .. }) => {
+                numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take)
+            }
+            Self::Array(StateTensor::U16 { data, .. }) => {
+                numbers(data, |v| v.to_le_bytes(), &mut buffer, &mut take)
+            }
             Self::Array(StateTensor::U8 { data, .. }) => take(data),
             Self::Woven { columns, .. } => {
                 let rows = columns.first().map_or(0, Vec::len);
@@ -95,17 +111,37 @@ fn numbers<T: Copy, E, const N: usize>(
 pub fn load(dtype: Dtype, shape: &[usize], bytes: Vec<u8>) -> Option<StateTensor<'static>> {
     let shape = shape.to_vec();
     Some(match dtype {
-        Dtype::F32 => StateTensor::F32 { shape, data: words(&bytes, f32::from_le_bytes) },
-        Dtype::U32 => StateTensor::U32 { shape, data: words(&bytes, u32::from_le_bytes) },
-        Dtype::U16 => StateTensor::U16 { shape, data: words(&bytes, u16::from_le_bytes) },
-        Dtype::U8 => StateTensor::U8 { shape, data: bytes.into() },
-        Dtype::F64 => StateTensor::F64 { shape, data: words(&bytes, f64::from_le_bytes) },
+        Dtype::F32 => StateTensor::F32 {
+            shape,
+            data: words(&bytes, f32::from_le_bytes),
+        },
+        Dtype::U32 => StateTensor::U32 {
+            shape,
+            data: words(&bytes, u32::from_le_bytes),
+        },
+        Dtype::U16 => StateTensor::U16 {
+            shape,
+            data: words(&bytes, u16::from_le_bytes),
+        },
+        Dtype::U8 => StateTensor::U8 {
+            shape,
+            data: bytes.into(),
+        },
+        Dtype::F64 => StateTensor::F64 {
+            shape,
+            data: words(&bytes, f64::from_le_bytes),
+        },
         _ => return None,
     })
 }
 
 fn words<T: Clone, const N: usize>(bytes: &[u8], of: impl Fn([u8; N]) -> T) -> Cow<'static, [T]> {
-    bytes.as_chunks::<N>().0.iter().map(|&word| of(word)).collect()
+    bytes
+        .as_chunks::<N>()
+        .0
+        .iter()
+        .map(|&word| of(word))
+        .collect()
 }
 
 /// Type and shape.
@@ -169,12 +205,16 @@ pub struct Facts {
 
 impl Facts {
     pub fn layout(&self) -> SplatLayout {
-        SplatLayout { isotropic: self.isotropic, sh_degree: self.sh_degree, time_degree: self.time_degree }
+        SplatLayout {
+            isotropic: self.isotropic,
+            sh_degree: self.sh_degree,
+            time_degree: self.time_degree,
+        }
     }
 }
 
-/// Hash of everything that the file means: facts, metadata, and name, type, shape and values of each
-/// array in the order of the names. Every part is preceded by its length.
+/// Hash of everything that the file means: facts, metadata, and name, type, shape and values of
+/// each array in the order of the names. Every part is preceded by its length.
 pub fn checksum(
     facts: &Facts,
     metadata: &BTreeMap<String, String>,
@@ -205,7 +245,8 @@ pub type Arrays = BTreeMap<String, StateTensor<'static>>;
 /// Named arrays to write.
 pub type Sources<'a> = BTreeMap<String, Source<'a>>;
 
-/// The columns of splats, with their names in files; the last, [`Column::Trend`], is with the bindings.
+/// The columns of splats, with their names in files; the last, [`Column::Trend`], is with the
+/// bindings.
 const COLUMNS: [(Column, &str); 8] = [
     (Column::Mean, "splats.mean"),
     (Column::LogScale, "splats.log_scale"),
@@ -228,7 +269,10 @@ fn shape(layout: SplatLayout, column: Column, rows: usize) -> Vec<usize> {
 
 /// True for the parameters that static splats do not have.
 fn is_dynamic(column: Column) -> bool {
-    matches!(column, Column::TimeMean | Column::LogTimeSd | Column::Velocity)
+    matches!(
+        column,
+        Column::TimeMean | Column::LogTimeSd | Column::Velocity
+    )
 }
 
 /// The arrays of splats: rows are splats, so the columns are woven together.
@@ -239,7 +283,11 @@ pub fn splats_to_arrays<'a>(splats: &'a Splats, arrays: &mut Sources<'a>) {
         if columns.is_empty() {
             continue;
         }
-        let rows = if is_dynamic(column) { splats.n_dynamic() } else { splats.n() };
+        let rows = if is_dynamic(column) {
+            splats.n_dynamic()
+        } else {
+            splats.n()
+        };
         let shape = shape(layout, column, rows);
         arrays.insert(name.to_owned(), Source::Woven { shape, columns });
     }
@@ -261,7 +309,13 @@ pub fn arrays_to_splats(
         }
         let rows = if is_dynamic(column) { n_dynamic } else { total };
         let data = f32_array(arrays, name, &shape(layout, column, rows))?;
-        columns.extend((0..width).map(|c| data.iter().skip(c).step_by(width).copied().collect::<Vec<f32>>()));
+        columns.extend((0..width).map(|c| {
+            data.iter()
+                .skip(c)
+                .step_by(width)
+                .copied()
+                .collect::<Vec<f32>>()
+        }));
         arrays.remove(name);
     }
     columns.extend((0..layout.range(Column::Trend).len()).map(|_| vec![0.0; n_dynamic]));
@@ -278,31 +332,67 @@ pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Sources<'_>) {
         [k.width as f64, k.height as f64, k.fx, k.fy, k.cx, k.cy]
     };
     let pose = |f: &SourceFrame| -> [f64; 12] {
-        let Se3 { rotation, translation } = f.camera.c2w;
-        std::array::from_fn(|i| if i % 4 == 3 { translation[i / 4] } else { rotation[(i / 4, i % 4)] })
+        let Se3 {
+            rotation,
+            translation,
+        } = f.camera.c2w;
+        std::array::from_fn(|i| {
+            if i % 4 == 3 {
+                translation[i / 4]
+            } else {
+                rotation[(i / 4, i % 4)]
+            }
+        })
     };
     let exposure = |f: &SourceFrame| -> [f32; 12] {
         let Exposure { matrix, offset } = f.exposure;
-        std::array::from_fn(|i| if i % 4 == 3 { offset[i / 4] } else { matrix[i / 4][i % 4] })
+        std::array::from_fn(|i| {
+            if i % 4 == 3 {
+                offset[i / 4]
+            } else {
+                matrix[i / 4][i % 4]
+            }
+        })
     };
     let f64s = |shape: Vec<usize>, data: Vec<f64>| {
         let data = data.into();
         Source::Array(StateTensor::F64 { shape, data })
     };
-    arrays.insert("source.intrinsics".into(), f64s(vec![n, 6], source.iter().flat_map(lens).collect()));
-    arrays.insert("source.c2w".into(), f64s(vec![n, 3, 4], source.iter().flat_map(pose).collect()));
-    arrays.insert("source.t".into(), f64s(vec![n], source.iter().map(|f| f.t).collect()));
+    arrays.insert(
+        "source.intrinsics".into(),
+        f64s(vec![n, 6], source.iter().flat_map(lens).collect()),
+    );
+    arrays.insert(
+        "source.c2w".into(),
+        f64s(vec![n, 3, 4], source.iter().flat_map(pose).collect()),
+    );
+    arrays.insert(
+        "source.t".into(),
+        f64s(vec![n], source.iter().map(|f| f.t).collect()),
+    );
     let data = source.iter().flat_map(exposure).collect();
-    arrays.insert("source.exposure".into(), Source::Array(StateTensor::F32 { shape: vec![n, 3, 4], data }));
+    arrays.insert(
+        "source.exposure".into(),
+        Source::Array(StateTensor::F32 {
+            shape: vec![n, 3, 4],
+            data,
+        }),
+    );
 }
 
 /// The training cameras of arrays.
 pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
     let n = arrays.get("source.t").map_or(0, StateTensor::len);
     let t = f64_array(arrays, "source.t", &[n])?;
-    let lens = f64_array(arrays, "source.intrinsics", &[n, 6])?.as_chunks::<6>().0;
-    let pose = f64_array(arrays, "source.c2w", &[n, 3, 4])?.as_chunks::<12>().0;
-    let exposure = f32_array(arrays, "source.exposure", &[n, 3, 4])?.as_chunks::<12>().0;
+    let lens = f64_array(arrays, "source.intrinsics", &[n, 6])?
+        .as_chunks::<6>()
+        .0;
+    let pose = f64_array(arrays, "source.c2w", &[n, 3, 4])?
+        .as_chunks::<12>()
+        .0;
+    let exposure = f32_array(arrays, "source.exposure", &[n, 3, 4])?
+        .as_chunks::<12>()
+        .0;
     let frame = |i: usize| {
         let [width, height, fx, fy, cx, cy] = lens[i];
         let (p, e) = (&pose[i], &exposure[i]);
@@ -335,11 +425,16 @@ pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
 fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Fault {
     let found = Source::Array(found.view()).describe();
     let name = shortened(format!("{name:?}"));
-    Fault::damaged(format!("array {name} is {found} where {kind} {shape:?} was expected"))
+    Fault::damaged(format!(
+        "array {name} is {found} where {kind} {shape:?} was expected"
+    ))
 }
 
 fn missing(name: &str) -> Fault {
-    Fault::damaged(format!("it has no array {}", shortened(format!("{name:?}"))))
+    Fault::damaged(format!(
+        "it has no array {}",
+        shortened(format!("{name:?}"))
+    ))
 }
 
 /// The values of an array that must have a type and shape.

@@ -51,20 +51,28 @@ pub struct Exit {
 }
 
 impl<'a> Child<'a> {
-    /// Starts `command` with pipes, limits and an environment that holds no secret; `on_line` sees every line of its
-    /// standard error, of which `message_bytes` are read at most. With `talks` its standard input is a pipe too; `bare`
-    /// says that it does not limit itself.
+    /// Starts `command` with pipes, limits and an environment that holds no secret; `on_line` sees
+    /// every line of its standard error, of which `message_bytes` are read at most. With `talks`
+    /// its standard input is a pipe too; `bare` says that it does not limit itself.
     pub fn start(
         command: &mut Command,
-        Start { decoder, talks, bare }: Start,
+        Start {
+            decoder,
+            talks,
+            bare,
+        }: Start,
         allowed: Allowed,
         message_bytes: u64,
         on_line: OnLine,
         progress: &'a dyn Progress,
     ) -> io::Result<Self> {
-        command.stdin(if talks { Stdio::piped() } else { Stdio::null() }).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+            .stdin(if talks { Stdio::piped() } else { Stdio::null() })
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
         super::clear_environment(command);
-        // A group of its own: keys pressed in the terminal are for us, and wrappers go down with what they started.
+        // A group of its own: keys pressed in the terminal are for us, and wrappers go down with
+        // what they started.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(command, 0);
         let mut process = command.spawn()?;
@@ -101,7 +109,10 @@ impl<'a> Child<'a> {
 
     /// The fault of a clip whose decoder failed so.
     pub fn failed(&self, how: DecoderEnd) -> Fault {
-        Fault::Decoder { decoder: self.decoder, how }
+        Fault::Decoder {
+            decoder: self.decoder,
+            how,
+        }
     }
 
     /// Gives bytes to the child, without waiting. A child that is gone shows in its output.
@@ -111,7 +122,8 @@ impl<'a> Child<'a> {
         }
     }
 
-    /// Waits for something that a thread makes of what the child writes; `None` when no more will come.
+    /// Waits for something that a thread makes of what the child writes; `None` when no more will
+    /// come.
     pub fn wait_for<T>(&self, receiver: &Receiver<T>) -> Result<Option<T>, Fault> {
         let start = Instant::now();
         loop {
@@ -176,7 +188,10 @@ impl<'a> Child<'a> {
         let decoder = self.decoder;
         let failed = |e: io::Error| {
             let what = format!("its end cannot be awaited: {e}");
-            Fault::Decoder { decoder, how: DecoderEnd::Answer { what } }
+            Fault::Decoder {
+                decoder,
+                how: DecoderEnd::Answer { what },
+            }
         };
         while !self.has_ended().map_err(failed)? {
             self.watch(start)?;
@@ -194,12 +209,18 @@ impl<'a> Child<'a> {
 
     /// Why a child that ended by itself did so.
     pub fn why(&self, exit: &Exit) -> DecoderEnd {
-        how_it_ended(exit.status, exit.cpu_s, &self.allowed, &self.messages.kept())
+        how_it_ended(
+            exit.status,
+            exit.cpu_s,
+            &self.allowed,
+            &self.messages.kept(),
+        )
     }
 
     /// Why a child whose output ended too early did so.
     pub fn why_ended(&mut self) -> Fault {
-        self.finish().map_or_else(|fault| fault, |exit| self.failed(self.why(&exit)))
+        self.finish()
+            .map_or_else(|fault| fault, |exit| self.failed(self.why(&exit)))
     }
 
     /// Lines of its standard error that were kept.
@@ -232,9 +253,11 @@ impl<'a> Child<'a> {
         /// What the kernel counts in, whatever its own clock: `USER_HZ`.
         const TICKS_A_SECOND: f64 = 100.0;
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.process.id())).ok()?;
-        // The name, which may hold anything, ends with the last parenthesis; the times are fields 14 and 15.
+        // The name, which may hold anything, ends with the last parenthesis; the times are fields
+        // 14 and 15.
         let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
-        let (user, system): (f64, f64) = (fields.next()?.parse().ok()?, fields.next()?.parse().ok()?);
+        let (user, system): (f64, f64) =
+            (fields.next()?.parse().ok()?, fields.next()?.parse().ok()?);
         Some((user + system) / TICKS_A_SECOND)
     }
 
@@ -243,7 +266,8 @@ impl<'a> Child<'a> {
         None
     }
 
-    /// Ends the child and what it started. Only before it was waited for: then the number may be another's.
+    /// Ends the child and what it started. Only before it was waited for: then the number may be
+    /// another's.
     fn kill_group(&self) {
         #[cfg(unix)]
         if !self.reaped {

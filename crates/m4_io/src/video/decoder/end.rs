@@ -1,4 +1,5 @@
-//! What the status and the words of a decoder that failed mean, and a bounded part of what it writes to standard error.
+//! What the status and the words of a decoder that failed mean, and a bounded part of what it
+//! writes to standard error.
 
 use super::Allowed;
 use crate::DecoderEnd;
@@ -9,24 +10,38 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// What a status and the last words of a process that failed mean.
-pub(super) fn how_it_ended(status: ExitStatus, cpu_s: Option<f64>, allowed: &Allowed, words: &[String]) -> DecoderEnd {
+pub(super) fn how_it_ended(
+    status: ExitStatus,
+    cpu_s: Option<f64>,
+    allowed: &Allowed,
+    words: &[String],
+) -> DecoderEnd {
     if words.iter().any(|line| is_of_memory(line)) {
-        return DecoderEnd::Memory { limit_mb: allowed.memory_bytes >> 20 };
+        return DecoderEnd::Memory {
+            limit_mb: allowed.memory_bytes >> 20,
+        };
     }
     let Some(signal) = signal_of(status) else {
         let message = words.last().map_or("no reason given", String::as_str);
-        return DecoderEnd::Answer { what: format!("it ended early ({status}): {message}") };
+        return DecoderEnd::Answer {
+            what: format!("it ended early ({status}): {message}"),
+        };
     };
     // The kernel looks at the clock every few milliseconds.
     let used_up = cpu_s.is_some_and(|s| s + 0.5 > allowed.cpu_s as f64);
     match signal {
-        24 => DecoderEnd::Cpu { limit_s: allowed.cpu_s },
-        9 if used_up => DecoderEnd::Cpu { limit_s: allowed.cpu_s },
+        24 => DecoderEnd::Cpu {
+            limit_s: allowed.cpu_s,
+        },
+        9 if used_up => DecoderEnd::Cpu {
+            limit_s: allowed.cpu_s,
+        },
         _ => DecoderEnd::Signal { signal },
     }
 }
 
-/// True for what ffmpeg, the C library, Rust, C++, GNU tools and the loader of libraries say when memory runs out.
+/// True for what ffmpeg, the C library, Rust, C++, GNU tools and the loader of libraries say when
+/// memory runs out.
 pub fn is_of_memory(line: &str) -> bool {
     let line = line.to_ascii_lowercase();
     [
@@ -42,10 +57,13 @@ pub fn is_of_memory(line: &str) -> bool {
     .any(|words| line.contains(words))
 }
 
-/// True for the words with which ffmpeg and ffprobe say that the bytes of a clip are bad: not that they could not be read.
+/// True for the words with which ffmpeg and ffprobe say that the bytes of a clip are bad: not that
+/// they could not be read.
 pub fn is_of_data(line: &str) -> bool {
     // A list of other files is refused as an invalid argument, after words about the whitelist.
-    ["invalid data found", "end of file", "on whitelist"].iter().any(|words| line.to_ascii_lowercase().contains(words))
+    ["invalid data found", "end of file", "on whitelist"]
+        .iter()
+        .any(|words| line.to_ascii_lowercase().contains(words))
 }
 
 #[cfg(unix)]
@@ -87,12 +105,19 @@ impl Messages {
         let (sender, end) = channel();
         let for_thread = Arc::clone(&shared);
         std::thread::spawn(move || drain(stderr, limit_bytes, on_line, &for_thread, sender));
-        Self { shared, end, limit_bytes }
+        Self {
+            shared,
+            end,
+            limit_bytes,
+        }
     }
 
     /// MiB that were read, when there were too many.
     pub fn too_many_mb(&self) -> Option<u64> {
-        self.shared.too_many.load(Ordering::Relaxed).then_some(self.limit_bytes >> 20)
+        self.shared
+            .too_many
+            .load(Ordering::Relaxed)
+            .then_some(self.limit_bytes >> 20)
     }
 
     /// Closed when all was read.
@@ -108,7 +133,13 @@ impl Messages {
 }
 
 /// Dropping `_end` closes the channel on which the end is waited for.
-fn drain(stderr: impl Read, limit_bytes: u64, mut on_line: OnLine, shared: &Shared, _end: Sender<()>) {
+fn drain(
+    stderr: impl Read,
+    limit_bytes: u64,
+    mut on_line: OnLine,
+    shared: &Shared,
+    _end: Sender<()>,
+) {
     let mut stderr = BufReader::new(stderr.take(limit_bytes));
     let (mut line, mut starts) = (Vec::new(), true);
     loop {
@@ -124,7 +155,10 @@ fn drain(stderr: impl Read, limit_bytes: u64, mut on_line: OnLine, shared: &Shar
             let text = String::from_utf8_lossy(&line);
             let text = text.trim_end();
             if !text.is_empty() && on_line(text) {
-                keep(&mut shared.kept.lock().unwrap_or_else(PoisonError::into_inner), text);
+                keep(
+                    &mut shared.kept.lock().unwrap_or_else(PoisonError::into_inner),
+                    text,
+                );
             }
         }
         starts = ends;
@@ -149,7 +183,12 @@ mod tests {
 
     fn all(input: impl Read + Send + 'static, limit: u64) -> (Vec<String>, Option<u64>) {
         let messages = Messages::read(input, limit, Box::new(|_| true));
-        assert!(messages.end().recv_timeout(Duration::from_secs(60)).is_err());
+        assert!(
+            messages
+                .end()
+                .recv_timeout(Duration::from_secs(60))
+                .is_err()
+        );
         (messages.kept(), messages.too_many_mb())
     }
 
@@ -158,7 +197,10 @@ mod tests {
         let text: String = (0..100).map(|i| format!("line {i}\n")).collect();
         let (kept, many) = all(Cursor::new(text), 1 << 20);
         assert_eq!((kept.len(), many), (16, None));
-        assert_eq!((kept[7].as_str(), kept[8].as_str(), kept[15].as_str()), ("line 7", "line 92", "line 99"));
+        assert_eq!(
+            (kept[7].as_str(), kept[8].as_str(), kept[15].as_str()),
+            ("line 7", "line 92", "line 99")
+        );
     }
 
     #[test]

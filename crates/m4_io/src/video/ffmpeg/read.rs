@@ -15,7 +15,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 const MAX_PIXELS: usize = 1 << 28;
 /// Complaints that are kept for a message.
 const KEPT_COMPLAINTS: usize = 8;
-/// Bytes of messages that are read at most, and more for every image: a line on each takes some 300.
+/// Bytes of messages that are read at most, and more for every image: a line on each takes some
+/// 300.
 const MESSAGE_BYTES: u64 = 64 << 20;
 const MESSAGE_BYTES_PER_IMAGE: u64 = 8 << 10;
 /// Most threads for one clip, as ffmpeg itself would take.
@@ -39,15 +40,20 @@ pub fn read(request: Request<'_>, what: &str) -> Result<Video, Fault> {
         return Err(no_video_track("ffprobe finds no video stream"));
     };
     if description.packets == 0 {
-        return Err(no_frames(&format!("its {} stream is empty", description.codec)));
+        return Err(no_frames(&format!(
+            "its {} stream is empty",
+            description.codec
+        )));
     }
-    let decode =
-        |every_frame_once| Decoder::start(request, what, &description, every_frame_once)?.run(request.progress);
+    let decode = |every_frame_once| {
+        Decoder::start(request, what, &description, every_frame_once)?.run(request.progress)
+    };
     match decode(["-fps_mode", "passthrough"]) {
         // Before ffmpeg 5.1 the option had another name.
-        Err(Fault::Decoder { how: DecoderEnd::Answer { what }, .. }) if what.contains("fps_mode") => {
-            decode(["-vsync", "passthrough"])
-        }
+        Err(Fault::Decoder {
+            how: DecoderEnd::Answer { what },
+            ..
+        }) if what.contains("fps_mode") => decode(["-vsync", "passthrough"]),
         other => other,
     }
 }
@@ -72,10 +78,18 @@ impl<'a> Decoder<'a> {
         description: &'a Description,
         every_frame_once: [&str; 2],
     ) -> Result<Self, Fault> {
-        let Request { path, options, decoder: launcher, progress } = request;
+        let Request {
+            path,
+            options,
+            decoder: launcher,
+            progress,
+        } = request;
         let in_range = match &description.times_s {
             Some(times) => {
-                let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
+                let inside = times
+                    .iter()
+                    .filter(|&&t| plan::in_range(t, options))
+                    .count();
                 if inside == 0 {
                     let last = times.last().copied().unwrap_or(0.0);
                     return Err(plan::nothing_in_range(last, options));
@@ -84,7 +98,9 @@ impl<'a> Decoder<'a> {
             }
             None => description.packets,
         };
-        let threads = std::thread::available_parallelism().map_or(1, |n| n.get().min(MAX_THREADS)).to_string();
+        let threads = std::thread::available_parallelism()
+            .map_or(1, |n| n.get().min(MAX_THREADS))
+            .to_string();
         let mut before = vec!["-nostdin", "-nostats", "-loglevel", "level+info"];
         before.extend(["-filter_threads", &threads, "-threads", &threads]);
         if options.strict {
@@ -126,7 +142,14 @@ impl<'a> Decoder<'a> {
             .arg("-vf")
             .arg(filters(description))
             .args(["-f", "rawvideo", "pipe:1"]);
-        let child = Child::start(&mut command, start("ffmpeg", launcher), allowed, message_bytes, on_line, progress);
+        let child = Child::start(
+            &mut command,
+            start("ffmpeg", launcher),
+            allowed,
+            message_bytes,
+            on_line,
+            progress,
+        );
         let child = child.map_err(|e| needed(what, &options.ffmpeg, &e.to_string()))?;
         Ok(Self {
             options,
@@ -153,7 +176,9 @@ impl<'a> Decoder<'a> {
             let info = self.child.wait_for(&self.frames)?;
             let Some(info) = info else { break };
             let (start, origin_s) = *first.get_or_insert((info, info.time_s.unwrap_or(0.0)));
-            let time_s = info.time_s.map_or(decoded as f64 / self.options.folder_fps, |t| t - origin_s);
+            let time_s = info
+                .time_s
+                .map_or(decoded as f64 / self.options.folder_fps, |t| t - origin_s);
             decoded += 1;
             if (info.width, info.height) != (start.width, start.height) {
                 let (from, to) = ((start.width, start.height), (info.width, info.height));
@@ -190,7 +215,10 @@ impl<'a> Decoder<'a> {
     fn image_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, Fault> {
         let pixels = info.width.saturating_mul(info.height);
         if pixels == 0 || pixels > MAX_PIXELS {
-            return Err(undecoded(&format!("its frames are {} x {} pixels", info.width, info.height)));
+            return Err(undecoded(&format!(
+                "its frames are {} x {} pixels",
+                info.width, info.height
+            )));
         }
         bytes.resize(pixels * if self.tone_map.is_some() { 6 } else { 3 }, 0);
         self.child.read_exact(bytes)
@@ -207,12 +235,26 @@ impl<'a> Decoder<'a> {
         image.ok_or_else(|| undecoded("an image has the wrong length"))
     }
 
-    fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, Fault> {
+    fn finish(
+        mut self,
+        collector: Option<Collector>,
+        decoded: usize,
+        kept: usize,
+    ) -> Result<Video, Fault> {
         let complete = kept == self.keep.len();
         // What remains of a clip of which enough was read is not needed.
-        let exit = if complete { None } else { Some(self.child.finish()?) };
+        let exit = if complete {
+            None
+        } else {
+            Some(self.child.finish()?)
+        };
         let description = self.description;
-        let complaints = std::mem::take(&mut *self.complaints.lock().unwrap_or_else(PoisonError::into_inner));
+        let complaints = std::mem::take(
+            &mut *self
+                .complaints
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner),
+        );
         if let Some(exit) = &exit
             && (!exit.status.success() || complaints.of_memory)
         {
@@ -222,25 +264,37 @@ impl<'a> Decoder<'a> {
                 return Err(self.child.failed(how));
             }
         }
-        let message = complaints.first.first().cloned().unwrap_or_else(|| "no reason given".into());
+        let message = complaints
+            .first
+            .first()
+            .cloned()
+            .unwrap_or_else(|| "no reason given".into());
         if self.options.strict && (complaints.count > 0 || !complete) {
-            return Err(undecoded(&format!("{} errors with `strict`, the first: {message}", complaints.count.max(1))));
+            return Err(undecoded(&format!(
+                "{} errors with `strict`, the first: {message}",
+                complaints.count.max(1)
+            )));
         }
         let Some(mut collector) = collector else {
             let reason = complaints.first.join("; ");
             let reason = if reason.is_empty() { message } else { reason };
             if !complaints.of_data {
-                // It shows no frame, and says nothing against the clip: it may not have been able to read it.
+                // It shows no frame, and says nothing against the clip: it may not have been able
+                // to read it.
                 return Err(self.child.failed(DecoderEnd::Answer { what: reason }));
             }
             return Err(undecoded(&reason));
         };
         if let Some(hdr) = description.hdr {
             let name = hdr.name();
-            collector.warnings.push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
+            collector.warnings.push(format!(
+                "high dynamic range ({name}) was tone-mapped to sRGB"
+            ));
         }
         if description.interlaced {
-            collector.warnings.push("interlaced video was deinterlaced".to_owned());
+            collector
+                .warnings
+                .push("interlaced video was deinterlaced".to_owned());
         }
         if complaints.count > 0 {
             collector.warnings.push(format!(
@@ -250,11 +304,14 @@ impl<'a> Decoder<'a> {
         }
         if !complete {
             let ended = exit.map_or_else(String::new, |e| e.status.to_string());
-            collector
-                .warnings
-                .push(format!("only {decoded} of {} frames could be decoded ({ended})", description.packets));
+            collector.warnings.push(format!(
+                "only {decoded} of {} frames could be decoded ({ended})",
+                description.packets
+            ));
         }
-        collector.warnings.extend(plan::thinned(self.keep.len(), self.in_range));
+        collector
+            .warnings
+            .extend(plan::thinned(self.keep.len(), self.in_range));
         collector.finish(None).ok_or_else(|| no_frames(&message))
     }
 }
@@ -274,6 +331,10 @@ fn filters(description: &Description) -> String {
             None => ":in_color_matrix=bt601",
         });
     }
-    filters.push_str(if description.hdr.is_some() { ",format=rgb48le" } else { ",format=rgb24" });
+    filters.push_str(if description.hdr.is_some() {
+        ",format=rgb48le"
+    } else {
+        ",format=rgb24"
+    });
     filters
 }

@@ -1,4 +1,5 @@
-//! Decodes frames with OpenH264, in this process or in another at the other end of two pipes, with the same result bit by bit.
+//! Decodes frames with OpenH264, in this process or in another at the other end of two pipes, with
+//! the same result bit by bit.
 //!
 //! The protocol between the two; numbers are little-endian:
 //!
@@ -13,7 +14,9 @@
 //! The decoder never says how long something is: its answers are the size that was agreed on.
 
 use crate::video::colour::bytes_420;
-use crate::video::decoder::{Allowed, Child, Confined, DecoderProgram, Start, become_program, limit_self};
+use crate::video::decoder::{
+    Allowed, Child, Confined, DecoderProgram, Start, become_program, limit_self,
+};
 use crate::{DecoderEnd, ErrorKind, Fault};
 use m4_core::Progress;
 use openh264::OpenH264API;
@@ -23,7 +26,8 @@ use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 
-/// Frames on their way to a child while the first answer is waited for: it decodes while this process converts.
+/// Frames on their way to a child while the first answer is waited for: it decodes while this
+/// process converts.
 const WINDOW: usize = 6;
 /// Bytes of messages that a child may write: OpenH264 writes none, the system a few.
 const MESSAGE_BYTES: u64 = 1 << 20;
@@ -48,7 +52,10 @@ pub struct Engine<'a> {
 }
 
 enum Place<'a> {
-    Here { decoder: Box<H264>, done: VecDeque<Frame> },
+    Here {
+        decoder: Box<H264>,
+        done: VecDeque<Frame>,
+    },
     There(Child<'a>),
 }
 
@@ -63,23 +70,53 @@ impl<'a> Engine<'a> {
         let size = setup.size;
         let Some(program) = program else {
             let decoder = H264::new(setup).map(Box::new);
-            return Ok(decoder.map(|decoder| Self { place: Place::Here { decoder, done: VecDeque::new() }, size }));
+            return Ok(decoder.map(|decoder| Self {
+                place: Place::Here {
+                    decoder,
+                    done: VecDeque::new(),
+                },
+                size,
+            }));
         };
-        let start = Start { decoder: "the H.264 decoder", talks: true, bare: false };
+        let start = Start {
+            decoder: "the H.264 decoder",
+            talks: true,
+            bare: false,
+        };
         let mut command = program.command(&allowed);
-        let child = Child::start(&mut command, start, allowed, MESSAGE_BYTES, Box::new(|_| true), progress);
+        let child = Child::start(
+            &mut command,
+            start,
+            allowed,
+            MESSAGE_BYTES,
+            Box::new(|_| true),
+            progress,
+        );
         let mut child = child.map_err(|e| {
-            let what = format!("the decoder program {} cannot be started ({e})", program.program.display());
-            Fault::Content { kind: ErrorKind::Io, what, hint: "install the program again".into() }
+            let what = format!(
+                "the decoder program {} cannot be started ({e})",
+                program.program.display()
+            );
+            Fault::Content {
+                kind: ErrorKind::Io,
+                what,
+                hint: "install the program again".into(),
+            }
         })?;
         child.send(setup.write());
         let mut hello = [0; MAGIC.len() + 1];
         receive(&mut child, &mut hello)?;
         let [magic @ .., ready] = hello;
         match (magic == MAGIC, ready) {
-            (true, 1) => Ok(Some(Self { place: Place::There(child), size })),
+            (true, 1) => Ok(Some(Self {
+                place: Place::There(child),
+                size,
+            })),
             (true, 0) => Ok(None),
-            _ => Err(unknown(&child, "it does not answer as minute4d's decoder does".into())),
+            _ => Err(unknown(
+                &child,
+                "it does not answer as minute4d's decoder does".into(),
+            )),
         }
     }
 
@@ -91,12 +128,14 @@ impl<'a> Engine<'a> {
         }
     }
 
-    /// Gives a frame (with start codes), behind parameter sets when it is `fresh`. An image is made only when it is wanted.
+    /// Gives a frame (with start codes), behind parameter sets when it is `fresh`. An image is made
+    /// only when it is wanted.
     pub fn give(&mut self, frame: &[u8], fresh: bool, wanted: bool) {
         match &mut self.place {
             Place::Here { decoder, done } => done.push_back(decoder.decode(frame, fresh, wanted)),
             Place::There(child) => {
-                let mut request = vec![if fresh { FRESH } else { 0 } | if wanted { WANTED } else { 0 }];
+                let mut request =
+                    vec![if fresh { FRESH } else { 0 } | if wanted { WANTED } else { 0 }];
                 write_block(frame, &mut request);
                 child.send(request);
             }
@@ -123,14 +162,21 @@ impl<'a> Engine<'a> {
                 let limit_mb = child.allowed.memory_bytes >> 20;
                 Err(child.failed(DecoderEnd::Memory { limit_mb }))
             }
-            other => Err(unknown(child, format!("its answer {other} is none of minute4d's decoder"))),
+            other => Err(unknown(
+                child,
+                format!("its answer {other} is none of minute4d's decoder"),
+            )),
         }
     }
 }
 
 /// Fills `bytes` with what the child writes.
 fn receive(child: &mut Child<'_>, bytes: &mut [u8]) -> Result<(), Fault> {
-    if child.read_exact(bytes)? { Ok(()) } else { Err(child.why_ended()) }
+    if child.read_exact(bytes)? {
+        Ok(())
+    } else {
+        Err(child.why_ended())
+    }
 }
 
 fn unknown(child: &Child<'_>, what: String) -> Fault {
@@ -153,11 +199,16 @@ pub struct H264 {
 impl H264 {
     /// `None` when the library cannot be set up.
     pub fn new(setup: Setup) -> Option<Self> {
-        // Parameter sets were changed so that no image is held back (see `sps::undelayed`); flushing
-        // would leak the decoder's images.
+        // Parameter sets were changed so that no image is held back (see `sps::undelayed`);
+        // flushing would leak the decoder's images.
         let settings = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
         let decoder = Decoder::with_api_config(OpenH264API::from_source(), settings).ok()?;
-        Some(Self { decoder, setup, fresh: true, joined: Vec::new() })
+        Some(Self {
+            decoder,
+            setup,
+            fresh: true,
+            joined: Vec::new(),
+        })
     }
 
     /// Decodes one frame (with start codes), behind the parameter sets when it is `fresh`.
@@ -176,7 +227,11 @@ impl H264 {
         match self.decoder.decode(frame) {
             Ok(Some(yuv)) if yuv.dimensions() == size => {
                 self.fresh = false;
-                if wanted { packed(&yuv, size).map_or(Frame::Damaged, Frame::Image) } else { Frame::Decoded }
+                if wanted {
+                    packed(&yuv, size).map_or(Frame::Damaged, Frame::Image)
+                } else {
+                    Frame::Decoded
+                }
             }
             Err(e) if e.native_code() & OUT_OF_MEMORY != 0 => Frame::NoMemory,
             _ => Frame::Damaged,
@@ -184,12 +239,17 @@ impl H264 {
     }
 }
 
-/// The planes of an image of `size` without what lies between their rows; `None` if rows are missing.
+/// The planes of an image of `size` without what lies between their rows; `None` if rows are
+/// missing.
 fn packed(yuv: &DecodedYUV<'_>, size: (usize, usize)) -> Option<Vec<u8>> {
     let (luma, chroma, _) = yuv.strides();
     let half = (size.0.div_ceil(2), size.1.div_ceil(2));
     let mut bytes = Vec::with_capacity(bytes_420(size));
-    for (plane, stride, (width, height)) in [(yuv.y(), luma, size), (yuv.u(), chroma, half), (yuv.v(), chroma, half)] {
+    for (plane, stride, (width, height)) in [
+        (yuv.y(), luma, size),
+        (yuv.u(), chroma, half),
+        (yuv.v(), chroma, half),
+    ] {
         for row in 0..height {
             bytes.extend_from_slice(plane.get(row * stride..)?.get(..width)?);
         }
@@ -197,21 +257,25 @@ fn packed(yuv: &DecodedYUV<'_>, size: (usize, usize)) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Decodes H.264 for another process until `input` ends: what a program does that was registered with
-/// [`crate::video::set_decoder_program`] and finds the arguments of its registration in its command line.
-/// `limits` are the arguments behind those. On Linux the limits of memory, time, files, processes and core dumps are set
-/// before the first byte is read, for the whole process, and it can gain no privileges. Where a command line follows the
-/// limits, the process becomes that program instead of decoding.
-/// Fails when the program cannot be executed, when the limits cannot be set, when the input is not that of
-/// [`crate::video::read()`], or when one of the two pipes breaks. Damaged video is no error here: it is answered.
+/// Decodes H.264 for another process until `input` ends: what a program does that was registered
+/// with [`crate::video::set_decoder_program`] and finds the arguments of its registration in its
+/// command line. `limits` are the arguments behind those. On Linux the limits of memory, time,
+/// files, processes and core dumps are set before the first byte is read, for the whole process,
+/// and it can gain no privileges. Where a command line follows the limits, the process becomes that
+/// program instead of decoding. Fails when the program cannot be executed, when the limits cannot
+/// be set, when the input is not that of [`crate::video::read()`], or when one of the two pipes
+/// breaks. Damaged video is no error here: it is answered.
 pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::Result<()> {
     let number = |i: usize| limits.get(i)?.to_str()?.parse().ok();
     let (Some(memory_bytes), Some(cpu_s)) = (number(0), number(1)) else {
-        let what =
-            "two limits were expected, bytes and seconds: this is a part of minute4d that is not to be started by hand";
+        let what = "two limits were expected, bytes and seconds: this is a part of minute4d that is not to be started by hand";
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };
-    let allowed = Allowed { memory_bytes, cpu_s, idle_s: 0 };
+    let allowed = Allowed {
+        memory_bytes,
+        cpu_s,
+        idle_s: 0,
+    };
     if let Some((program, arguments)) = limits[2..].split_first() {
         return Err(become_program(program, arguments, &allowed));
     }
@@ -223,10 +287,13 @@ pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::R
     output.write_all(&MAGIC)?;
     output.write_all(&[u8::from(decoder.is_some())])?;
     output.flush()?;
-    let Some(mut decoder) = decoder else { return Ok(()) };
+    let Some(mut decoder) = decoder else {
+        return Ok(());
+    };
     let mut frame = Vec::new();
     while let Some(flags) = read_request(&mut input, &mut frame)? {
-        let (answer, planes) = match decoder.decode(&frame, flags & FRESH != 0, flags & WANTED != 0) {
+        let (answer, planes) = match decoder.decode(&frame, flags & FRESH != 0, flags & WANTED != 0)
+        {
             Frame::Damaged => (DAMAGED, Vec::new()),
             Frame::Decoded => (DECODED, Vec::new()),
             Frame::Image(planes) => (IMAGE, planes),

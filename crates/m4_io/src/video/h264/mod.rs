@@ -1,4 +1,5 @@
-//! H.264 in MP4 files, decoded in a separate process if a decoder program is registered, else in this one.
+//! H.264 in MP4 files, decoded in a separate process if a decoder program is registered, else in
+//! this one.
 //!
 //! The decoder (OpenH264) takes 8-bit 4:2:0 progressive streams of the Baseline, Main and High
 //! profiles, B-frames included; [`Failure::Unsupported`] says why anything else is left to ffmpeg.
@@ -66,14 +67,26 @@ impl Config {
             headers.extend_from_slice(&START_CODE);
             headers.extend_from_slice(nal);
         }
-        let sps = avcc.sequence_parameter_sets.iter().find_map(|nal| Sps::parse(nal))?;
-        Some(Self { length_size: avcc.length_size.into(), headers, sps })
+        let sps = avcc
+            .sequence_parameter_sets
+            .iter()
+            .find_map(|nal| Sps::parse(nal))?;
+        Some(Self {
+            length_size: avcc.length_size.into(),
+            headers,
+            sps,
+        })
     }
 
-    /// The configuration of a track. Fails, with what it is, for those that the decoder does not take.
+    /// The configuration of a track. Fails, with what it is, for those that the decoder does not
+    /// take.
     fn of(entry: &SampleEntry) -> Result<Self, String> {
-        let avcc = entry.avcc.as_deref().ok_or("H.264 without a decoder configuration")?;
-        let config = Self::parse(avcc).ok_or("H.264 whose decoder configuration (avcC) is damaged")?;
+        let avcc = entry
+            .avcc
+            .as_deref()
+            .ok_or("H.264 without a decoder configuration")?;
+        let config =
+            Self::parse(avcc).ok_or("H.264 whose decoder configuration (avcC) is damaged")?;
         config.check()?;
         Ok(config)
     }
@@ -97,13 +110,19 @@ impl Config {
 
     /// What a decoder of this stream must know.
     pub fn setup(&self) -> Setup {
-        Setup { size: self.sps.size, headers: self.headers.clone() }
+        Setup {
+            size: self.sps.size,
+            headers: self.headers.clone(),
+        }
     }
 
     /// Writes a sample with start codes to `out`. `None` when its lengths do not add up.
     pub fn annex_b(&self, sample: &[u8], out: &mut Vec<u8>) -> Option<SampleKind> {
         out.clear();
-        let mut kind = SampleKind { disposable: true, resizes: None };
+        let mut kind = SampleKind {
+            disposable: true,
+            resizes: None,
+        };
         let (mut rest, mut slices) = (sample, 0);
         while !rest.is_empty() {
             let (length, tail) = rest.split_at_checked(self.length_size)?;

@@ -18,7 +18,12 @@ const MAX_SAMPLE_BYTES: u32 = 64 << 20;
 
 /// Reads the frames of `track`, which lie in `file`.
 pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Video, Failure> {
-    let Request { options, decoder, progress, .. } = request;
+    let Request {
+        options,
+        decoder,
+        progress,
+        ..
+    } = request;
     let unsupported = |what: &str| Failure::Unsupported(what.to_owned());
     let [entry] = track.entries.as_slice() else {
         return Err(unsupported("H.264 with several decoder configurations"));
@@ -27,11 +32,17 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
     let shown = presentation(track);
     if shown.is_empty() {
         let samples = track.samples.len();
-        return Err(no_frames(&format!("its video track has {samples} samples and none is shown")).into());
+        return Err(no_frames(&format!(
+            "its video track has {samples} samples and none is shown"
+        ))
+        .into());
     }
     let times: Vec<f64> = shown.iter().map(|&(_, time_s)| time_s).collect();
     let kept = plan::select(&times, options)?;
-    let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
+    let inside = times
+        .iter()
+        .filter(|&&t| plan::in_range(t, options))
+        .count();
 
     let sps = &config.sps;
     let colours = sps.colours.or(entry.colours);
@@ -39,15 +50,26 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
     if matches!(colours.transfer, 16 | 18) {
         return Err(unsupported("H.264 with high dynamic range"));
     }
-    let range = if colours.full_range == Some(true) { Range::Full } else { Range::Limited };
+    let range = if colours.full_range == Some(true) {
+        Range::Full
+    } else {
+        Range::Limited
+    };
     let Some(matrix) = YuvMatrix::from_code(colours.matrix, sps.size.1, range) else {
-        return Err(unsupported(&format!("H.264 with colours of an unusual kind (matrix {})", colours.matrix)));
+        return Err(unsupported(&format!(
+            "H.264 with colours of an unusual kind (matrix {})",
+            colours.matrix
+        )));
     };
     let orientation = Orientation::from_matrix(&track.matrix);
     let swaps = orientation.is_some_and(Orientation::swaps_sides);
     let aspect = entry.pixel_aspect.or(sps.pixel_aspect).unwrap_or(1.0);
     let (width, height) = (sps.size.0 as f64 * aspect, sps.size.1 as f64);
-    let (width, height) = if swaps { (height, width) } else { (width, height) };
+    let (width, height) = if swaps {
+        (height, width)
+    } else {
+        (width, height)
+    };
     let size = plan::target_size(width, height, options);
     plan::check_memory(kept.len(), size, options)?;
 
@@ -56,31 +78,57 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
         frames: track.samples.len() as u64,
         bytes: track.samples.iter().map(|s| u64::from(s.size)).sum(),
     };
-    let Some(engine) = Engine::start(decoder, config.setup(), options.decoder.allowed(work), progress)? else {
-        return Err(unsupported("H.264, for which the decoder cannot be set up here"));
+    let Some(engine) = Engine::start(
+        decoder,
+        config.setup(),
+        options.decoder.allowed(work),
+        progress,
+    )?
+    else {
+        return Err(unsupported(
+            "H.264, for which the decoder cannot be set up here",
+        ));
     };
-    let mut run =
-        Run { config: &config, engine, matrix, orientation, collector: Collector::new(size), damaged: Vec::new() };
+    let mut run = Run {
+        config: &config,
+        engine,
+        matrix,
+        orientation,
+        collector: Collector::new(size),
+        damaged: Vec::new(),
+    };
     run.frames(file, &track.samples, &shown, &kept, progress)?;
 
-    let Run { mut collector, damaged, .. } = run;
+    let Run {
+        mut collector,
+        damaged,
+        ..
+    } = run;
     if collector.len() == 0 {
-        return Err(unsupported(&format!("H.264 of which none of {} frames could be decoded here", kept.len())));
+        return Err(unsupported(&format!(
+            "H.264 of which none of {} frames could be decoded here",
+            kept.len()
+        )));
     }
     if !damaged.is_empty() {
         let first_s = damaged.iter().fold(f64::INFINITY, |a, &b| a.min(b));
         let first = format!("at {first_s:.2} s");
-        collector.warnings.push(plan::damaged(damaged.len(), shown.len(), &first, options)?);
+        collector
+            .warnings
+            .push(plan::damaged(damaged.len(), shown.len(), &first, options)?);
     }
     if orientation.is_none() {
         let message = "the display matrix is not a turn by a right angle; frames are as stored";
         collector.warnings.push(message.to_owned());
     }
     collector.warnings.extend(plan::thinned(kept.len(), inside));
-    collector.finish(None).ok_or_else(|| no_frames("none was kept").into())
+    collector
+        .finish(None)
+        .ok_or_else(|| no_frames("none was kept").into())
 }
 
-/// The frames that the edit list shows, in order of time: the index of each in decoding order, and seconds from the first.
+/// The frames that the edit list shows, in order of time: the index of each in decoding order, and
+/// seconds from the first.
 fn presentation(track: &Track) -> Vec<(usize, f64)> {
     let samples = track.samples.iter().enumerate();
     let times = samples.filter_map(|(i, sample)| Some((i, track.timeline.shown_s(sample.ticks)?)));
@@ -102,8 +150,9 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Decodes in the order of the file up to the last frame that is kept. The decoder itself sees to parameter sets
-    /// after a frame that it finds damaged; a frame that never reaches it is reported to it with the next.
+    /// Decodes in the order of the file up to the last frame that is kept. The decoder itself sees
+    /// to parameter sets after a frame that it finds damaged; a frame that never reaches it is
+    /// reported to it with the next.
     fn frames(
         &mut self,
         file: &mut File,
@@ -140,7 +189,11 @@ impl Run<'_> {
                 continue;
             };
             if let Some(to) = kind.resizes {
-                return Err(plan::size_changes(self.config.sps.size, to, time_of[i].unwrap_or(0.0)));
+                return Err(plan::size_changes(
+                    self.config.sps.size,
+                    to,
+                    time_of[i].unwrap_or(0.0),
+                ));
             }
             if kind.disposable && !keep[i] {
                 continue;
@@ -189,10 +242,19 @@ fn coded_bytes(file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> io::Res
         return Ok(false);
     }
     bytes.resize(sample.size as usize, 0);
-    let read = file.seek(SeekFrom::Start(sample.offset)).and_then(|_| file.read_exact(bytes));
+    let read = file
+        .seek(SeekFrom::Start(sample.offset))
+        .and_then(|_| file.read_exact(bytes));
     match read {
         Ok(()) => Ok(true),
-        Err(e) if matches!(e.kind(), io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput) => Ok(false),
+        Err(e)
+            if matches!(
+                e.kind(),
+                io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput
+            ) =>
+        {
+            Ok(false)
+        }
         Err(e) => Err(e),
     }
 }

@@ -24,7 +24,8 @@ pub struct Sps {
 
 /// Longest side of an image, pixels.
 const MAX_SIDE_PX: usize = 16_384;
-/// The highest level (6.2): files often state one that their images exceed, and every decoder shows them.
+/// The highest level (6.2): files often state one that their images exceed, and every decoder shows
+/// them.
 const ANY_LEVEL: u8 = 62;
 /// Where the level stands in a parameter set.
 const LEVEL_AT: usize = 3;
@@ -33,10 +34,15 @@ const LEVEL_AT: usize = 3;
 fn parsed(nal: &[u8]) -> Option<SeqParameterSet> {
     let mut nal = nal.to_vec();
     let level = std::mem::replace(nal.get_mut(LEVEL_AT)?, ANY_LEVEL);
-    let parse = || SeqParameterSet::from_bits(BitReader::new(ByteReader::skipping_h264_header(&nal[..]))).ok();
+    let parse = || {
+        SeqParameterSet::from_bits(BitReader::new(ByteReader::skipping_h264_header(&nal[..]))).ok()
+    };
     // A panic of the parser, which is not ours, is a fault of the file.
     let set = catch_unwind(parse).ok()??;
-    Some(SeqParameterSet { level_idc: level, ..set })
+    Some(SeqParameterSet {
+        level_idc: level,
+        ..set
+    })
 }
 
 impl Sps {
@@ -49,15 +55,21 @@ impl Sps {
         let vui = set.vui_parameters.as_ref();
         let aspect = vui.and_then(|v| v.aspect_ratio_info.as_ref()?.get());
         let aspect = aspect.map(|(w, h)| f64::from(w) / f64::from(h));
-        [size.0, size.1].iter().all(|side| (1..=MAX_SIDE_PX).contains(side)).then(|| Self {
-            profile: set.profile_idc.into(),
-            chroma_format: chroma.chroma_format.to_u32(),
-            bit_depth: chroma.bit_depth_luma_minus8.max(chroma.bit_depth_chroma_minus8) + 8,
-            progressive: set.frame_mbs_flags == FrameMbsFlags::Frames,
-            size,
-            pixel_aspect: aspect.filter(|a| (0.1..=10.0).contains(a)),
-            colours: vui.map_or_else(Colours::default, colours),
-        })
+        [size.0, size.1]
+            .iter()
+            .all(|side| (1..=MAX_SIDE_PX).contains(side))
+            .then(|| Self {
+                profile: set.profile_idc.into(),
+                chroma_format: chroma.chroma_format.to_u32(),
+                bit_depth: chroma
+                    .bit_depth_luma_minus8
+                    .max(chroma.bit_depth_chroma_minus8)
+                    + 8,
+                progressive: set.frame_mbs_flags == FrameMbsFlags::Frames,
+                size,
+                pixel_aspect: aspect.filter(|a| (0.1..=10.0).contains(a)),
+                colours: vui.map_or_else(Colours::default, colours),
+            })
     }
 }
 
@@ -72,22 +84,30 @@ fn colours(vui: &VuiParameters) -> Colours {
             matrix: described.matrix_coefficients.into(),
             full_range,
         },
-        None => Colours { full_range, ..Colours::default() },
+        None => Colours {
+            full_range,
+            ..Colours::default()
+        },
     }
 }
 
-/// Profile whose images the decoder gives out at once (Scalable Baseline, with the syntax of a High parameter set).
+/// Profile whose images the decoder gives out at once (Scalable Baseline, with the syntax of a High
+/// parameter set).
 const UNDELAYED_PROFILE: u8 = 83;
 
 /// The parameter set (a NAL unit of type 7) with a profile for which OpenH264 does not hold images
-/// back to put them in order of display. What is decoded does not change: for progressive 8-bit 4:2:0
-/// the profile decides about nothing else in that decoder. The order is ours to make, from the times in
-/// the container; the decoder's own order would hide which image a damaged frame took away.
+/// back to put them in order of display. What is decoded does not change: for progressive 8-bit
+/// 4:2:0 the profile decides about nothing else in that decoder. The order is ours to make, from
+/// the times in the container; the decoder's own order would hide which image a damaged frame took
+/// away.
 pub fn undelayed(nal: &[u8]) -> Option<Vec<u8>> {
     if !matches!(nal.get(1)?, 77 | 100) {
         return Some(nal.to_vec());
     }
-    let set = SeqParameterSet { profile_idc: UNDELAYED_PROFILE.into(), ..parsed(nal)? };
+    let set = SeqParameterSet {
+        profile_idc: UNDELAYED_PROFILE.into(),
+        ..parsed(nal)?
+    };
     Some(set.to_vec_with_header(NalHeader::new(nal[0]).ok()?))
 }
 
@@ -97,17 +117,24 @@ mod tests {
 
     #[test]
     fn parameter_sets_of_x264_are_parsed_and_rewritten() {
-        // The example clip: High, 480 x 360 (368 coded rows, cropped by 8), BT.709, limited range, square pixels.
+        // The example clip: High, 480 x 360 (368 coded rows, cropped by 8), BT.709, limited range,
+        // square pixels.
         let high = [
-            0x67, 0x64, 0x00, 0x1f, 0xac, 0x76, 0x11, 0x07, 0x82, 0xff, 0x97, 0x01, 0x6a, 0x02, 0x02, 0x03, 0x4a, 0x00,
-            0x00, 0x03, 0x00, 0x02, 0x00, 0x00, 0x03, 0x00, 0x60, 0x1e, 0x30, 0x63, 0x08, 0xc0,
+            0x67, 0x64, 0x00, 0x1f, 0xac, 0x76, 0x11, 0x07, 0x82, 0xff, 0x97, 0x01, 0x6a, 0x02,
+            0x02, 0x03, 0x4a, 0x00, 0x00, 0x03, 0x00, 0x02, 0x00, 0x00, 0x03, 0x00, 0x60, 0x1e,
+            0x30, 0x63, 0x08, 0xc0,
         ];
         // The same at 240 x 180, Main.
         let main = [
-            0x67, 0x4d, 0x40, 0x0c, 0xec, 0xa1, 0xe3, 0x3f, 0x3e, 0x02, 0xd4, 0x04, 0x04, 0x06, 0x94, 0x00, 0x00, 0x03,
-            0x00, 0x04, 0x00, 0x00, 0x03, 0x00, 0xc0, 0x3c, 0x50, 0xa6, 0x58,
+            0x67, 0x4d, 0x40, 0x0c, 0xec, 0xa1, 0xe3, 0x3f, 0x3e, 0x02, 0xd4, 0x04, 0x04, 0x06,
+            0x94, 0x00, 0x00, 0x03, 0x00, 0x04, 0x00, 0x00, 0x03, 0x00, 0xc0, 0x3c, 0x50, 0xa6,
+            0x58,
         ];
-        let colours = Colours { transfer: 1, matrix: 1, full_range: Some(false) };
+        let colours = Colours {
+            transfer: 1,
+            matrix: 1,
+            full_range: Some(false),
+        };
         let want = Sps {
             profile: 100,
             chroma_format: 1,
@@ -117,13 +144,34 @@ mod tests {
             pixel_aspect: Some(1.0),
             colours,
         };
-        for (nal, want) in [(&high[..], want), (&main, Sps { profile: 77, size: (240, 180), ..want })] {
+        for (nal, want) in [
+            (&high[..], want),
+            (
+                &main,
+                Sps {
+                    profile: 77,
+                    size: (240, 180),
+                    ..want
+                },
+            ),
+        ] {
             assert_eq!(Sps::parse(nal), Some(want));
             let quick = undelayed(nal).unwrap();
-            assert_eq!(Sps::parse(&quick), Some(Sps { profile: 83, ..want }));
+            assert_eq!(
+                Sps::parse(&quick),
+                Some(Sps {
+                    profile: 83,
+                    ..want
+                })
+            );
             // The level, and nothing that reads like a start code.
             assert_eq!(quick[3], nal[3]);
-            assert!(quick.windows(3).all(|w| w != [0, 0, 0] && w != [0, 0, 1] && w != [0, 0, 2]), "{quick:x?}");
+            assert!(
+                quick
+                    .windows(3)
+                    .all(|w| w != [0, 0, 0] && w != [0, 0, 1] && w != [0, 0, 2]),
+                "{quick:x?}"
+            );
             for cut in 0..nal.len() - 1 {
                 assert!(Sps::parse(&nal[..cut]).is_none());
             }

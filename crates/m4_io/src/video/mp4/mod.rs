@@ -1,7 +1,7 @@
 //! MP4 and QuickTime files: the bytes of each frame, its presentation time, and the orientation.
 //!
-//! Boxes are decoded by `mp4-atom`, which takes memory as it reads, and only those that a reader of clips needs: what cameras
-//! write into others cannot make a file unreadable.
+//! Boxes are decoded by `mp4-atom`, which takes memory as it reads, and only those that a reader of
+//! clips needs: what cameras write into others cannot make a file unreadable.
 
 mod movie;
 mod shown;
@@ -58,13 +58,26 @@ const MAX_INDEX_BYTES: u64 = 512 << 20;
 
 /// For messages: the four characters, where they are characters.
 fn name(kind: FourCC) -> String {
-    kind.as_ref().iter().map(|&b| if b.is_ascii_graphic() { char::from(b) } else { '?' }).collect()
+    kind.as_ref()
+        .iter()
+        .map(|&b| {
+            if b.is_ascii_graphic() {
+                char::from(b)
+            } else {
+                '?'
+            }
+        })
+        .collect()
 }
 
 /// True when bytes 4..8 of a file are a box type that MP4 and QuickTime files start with.
 pub fn looks_like_mp4(start: &[u8]) -> bool {
-    let known = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot"];
-    start.get(4..8).is_some_and(|kind| known.iter().any(|k| *k == kind))
+    let known = [
+        b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot",
+    ];
+    start
+        .get(4..8)
+        .is_some_and(|kind| known.iter().any(|k| *k == kind))
 }
 
 /// The body of the top-level `moov` box.
@@ -76,7 +89,11 @@ fn read_moov(file: &mut (impl Read + Seek), len: u64) -> Result<Vec<u8>, Mp4Erro
             Ok(header) => header,
             Err(Error::Io(e)) if e.kind() == ErrorKind::UnexpectedEof => break,
             Err(Error::Io(e)) => return Err(e.into()),
-            Err(e) => return Err(Mp4Error::Bad(format!("the size of the box at byte {at} cannot be ({e})"))),
+            Err(e) => {
+                return Err(Mp4Error::Bad(format!(
+                    "the size of the box at byte {at} cannot be ({e})"
+                )));
+            }
         };
         let start = file.stream_position()?;
         let there = len.saturating_sub(start);
@@ -84,11 +101,15 @@ fn read_moov(file: &mut (impl Read + Seek), len: u64) -> Result<Vec<u8>, Mp4Erro
         let missing = size.saturating_sub(there);
         if header.kind == Moov::KIND {
             if missing > 0 {
-                let what = format!("its index (moov box) needs {missing} bytes more than the file has");
+                let what =
+                    format!("its index (moov box) needs {missing} bytes more than the file has");
                 return Err(Mp4Error::Truncated(what));
             }
             if size > MAX_INDEX_BYTES {
-                return Err(Mp4Error::Bad(format!("its index (moov box) is {} MiB long", size >> 20)));
+                return Err(Mp4Error::Bad(format!(
+                    "its index (moov box) is {} MiB long",
+                    size >> 20
+                )));
             }
             let mut bytes = vec![0; size as usize];
             file.read_exact(&mut bytes)?;
@@ -125,12 +146,15 @@ fn children(mut rest: &[u8]) -> impl Iterator<Item = (FourCC, &[u8])> {
 
 /// The body of the first box of a kind.
 fn child<T: Atom>(body: &[u8]) -> Option<&[u8]> {
-    children(body).find(|(kind, _)| *kind == T::KIND).map(|(_, inside)| inside)
+    children(body)
+        .find(|(kind, _)| *kind == T::KIND)
+        .map(|(_, inside)| inside)
 }
 
 /// The body of a box that must be there.
 fn inside<'a, T: Atom>(body: &'a [u8], parent: &str) -> Result<&'a [u8], Mp4Error> {
-    child::<T>(body).ok_or_else(|| Mp4Error::Bad(format!("box {:?} is missing from {parent}", name(T::KIND))))
+    child::<T>(body)
+        .ok_or_else(|| Mp4Error::Bad(format!("box {:?} is missing from {parent}", name(T::KIND))))
 }
 
 fn decode<T: Atom>(mut body: &[u8]) -> Result<T, Mp4Error> {

@@ -3,8 +3,8 @@
 use super::{Mp4Error, Timeline, child, children, inside, optional, read_moov, required};
 use crate::video::colour::Colours;
 use mp4_atom::{
-    Atom, Avcc, Co64, Colr, Ctts, Edts, Elst, FourCC, Hdlr, Matrix, Mdhd, Mdia, Minf, Mvex, Mvhd, Pasp, Stbl, Stco,
-    Stsc, Stsd, Stsz, StszSamples, Stts, Tkhd, Trak,
+    Atom, Avcc, Co64, Colr, Ctts, Edts, Elst, FourCC, Hdlr, Matrix, Mdhd, Mdia, Minf, Mvex, Mvhd,
+    Pasp, Stbl, Stco, Stsc, Stsd, Stsz, StszSamples, Stts, Tkhd, Trak,
 };
 use std::io::{Read, Seek};
 
@@ -69,7 +69,9 @@ impl Movie {
         let scale = required::<Mvhd>(&moov, "the index (moov box)")?.timescale;
         let mut left = len;
         let traks = children(&moov).filter(|(kind, _)| *kind == Trak::KIND);
-        let tracks: Vec<Track> = traks.map(|(_, body)| track(body, scale, &mut left)).collect::<Result<_, _>>()?;
+        let tracks: Vec<Track> = traks
+            .map(|(_, body)| track(body, scale, &mut left))
+            .collect::<Result<_, _>>()?;
         if tracks.iter().all(|t| t.samples.is_empty()) && child::<Mvex>(&moov).is_some() {
             return Err(Mp4Error::Fragmented);
         }
@@ -78,7 +80,10 @@ impl Movie {
 
     /// The video track with the most samples.
     pub fn video(&self) -> Option<&Track> {
-        let videos = self.tracks.iter().filter(|t| t.handler == VIDEO && !t.entries.is_empty());
+        let videos = self
+            .tracks
+            .iter()
+            .filter(|t| t.handler == VIDEO && !t.entries.is_empty());
         // `max_by_key` takes the last of equals, a file's first track is its main one.
         videos.rev().max_by_key(|t| t.samples.len())
     }
@@ -89,26 +94,42 @@ fn track(trak: &[u8], movie_scale: u32, left: &mut u64) -> Result<Track, Mp4Erro
     let mdia = inside::<Mdia>(trak, "a track")?;
     let scale = required::<Mdhd>(mdia, "a track")?.timescale;
     // Not decoded as a whole: its name is in any encoding.
-    let handler = inside::<Hdlr>(mdia, "a track")?.get(8..).and_then(|rest| rest.first_chunk::<4>());
-    let handler = FourCC::from(handler.ok_or_else(|| Mp4Error::Bad("box \"hdlr\" is too short".into()))?);
+    let handler = inside::<Hdlr>(mdia, "a track")?
+        .get(8..)
+        .and_then(|rest| rest.first_chunk::<4>());
+    let handler =
+        FourCC::from(handler.ok_or_else(|| Mp4Error::Bad("box \"hdlr\" is too short".into()))?);
 
     let (mut entries, mut list) = (Vec::new(), Vec::new());
     if handler == VIDEO {
         if scale == 0 {
-            return Err(Mp4Error::Bad("its video track has 0 ticks per second".into()));
+            return Err(Mp4Error::Bad(
+                "its video track has 0 ticks per second".into(),
+            ));
         }
         let stbl = inside::<Stbl>(inside::<Minf>(mdia, "a track")?, "a track")?;
         // Behind its version and the number of entries.
         let stsd = inside::<Stsd>(stbl, TABLE)?.get(8..).unwrap_or_default();
-        entries = children(stsd).filter_map(|(kind, body)| entry(kind, body)).collect();
+        entries = children(stsd)
+            .filter_map(|(kind, body)| entry(kind, body))
+            .collect();
         list = samples(stbl, left)?;
     }
     let elst = child::<Edts>(trak).map_or(Ok(None), optional::<Elst>)?;
     let edits = elst.map_or_else(Vec::new, |elst| elst.entries);
     if edits.len() > MAX_EDITS {
-        return Err(Mp4Error::Bad(format!("its edit list has {} entries", edits.len())));
+        return Err(Mp4Error::Bad(format!(
+            "its edit list has {} entries",
+            edits.len()
+        )));
     }
-    Ok(Track { handler, matrix, timeline: Timeline::new(&edits, movie_scale, scale), entries, samples: list })
+    Ok(Track {
+        handler,
+        matrix,
+        timeline: Timeline::new(&edits, movie_scale, scale),
+        entries,
+        samples: list,
+    })
 }
 
 /// A visual sample entry; what it says of colours and pixels counts where it can be read.
@@ -116,14 +137,30 @@ fn entry(codec: FourCC, body: &[u8]) -> Option<SampleEntry> {
     let boxes = body.get(ENTRY_BYTES..)?;
     let colours = match optional(boxes).ok().flatten() {
         Some(Colr::Nclx {
-            transfer_characteristics: transfer, matrix_coefficients: matrix, full_range_flag, ..
-        }) => Colours { transfer, matrix, full_range: Some(full_range_flag) },
-        Some(Colr::Nclc { transfer_characteristics: transfer, matrix_coefficients: matrix, .. }) => {
-            Colours { transfer, matrix, full_range: None }
-        }
+            transfer_characteristics: transfer,
+            matrix_coefficients: matrix,
+            full_range_flag,
+            ..
+        }) => Colours {
+            transfer,
+            matrix,
+            full_range: Some(full_range_flag),
+        },
+        Some(Colr::Nclc {
+            transfer_characteristics: transfer,
+            matrix_coefficients: matrix,
+            ..
+        }) => Colours {
+            transfer,
+            matrix,
+            full_range: None,
+        },
         _ => Colours::default(),
     };
-    let aspect = optional(boxes).ok().flatten().map(|p: Pasp| f64::from(p.h_spacing) / f64::from(p.v_spacing));
+    let aspect = optional(boxes)
+        .ok()
+        .flatten()
+        .map(|p: Pasp| f64::from(p.h_spacing) / f64::from(p.v_spacing));
     Some(SampleEntry {
         codec,
         avcc: child::<Avcc>(boxes).map(<[u8]>::to_vec),
@@ -134,8 +171,9 @@ fn entry(codec: FourCC, body: &[u8]) -> Option<SampleEntry> {
 
 const TABLE: &str = "the sample table";
 
-/// The samples of a `stbl` box in decoding order. Those of one size have no list of which the length could be compared: they take
-/// their bytes from `left`, what the tracks before have left of the file.
+/// The samples of a `stbl` box in decoding order. Those of one size have no list of which the
+/// length could be compared: they take their bytes from `left`, what the tracks before have left of
+/// the file.
 fn samples(stbl: &[u8], left: &mut u64) -> Result<Vec<Sample>, Mp4Error> {
     let sizes = required::<Stsz>(stbl, TABLE)?.samples;
     let count = match &sizes {
@@ -144,8 +182,11 @@ fn samples(stbl: &[u8], left: &mut u64) -> Result<Vec<Sample>, Mp4Error> {
     };
     if let StszSamples::Identical { count, size } = sizes {
         let rest = left.checked_sub(u64::from(count) * u64::from(size));
-        *left =
-            rest.ok_or_else(|| Mp4Error::Bad(format!("{count} samples of {size} bytes are more than the file has")))?;
+        *left = rest.ok_or_else(|| {
+            Mp4Error::Bad(format!(
+                "{count} samples of {size} bytes are more than the file has"
+            ))
+        })?;
     }
     if count > MAX_SAMPLES {
         return Err(Mp4Error::Bad(format!("it has {count} samples")));
@@ -169,17 +210,28 @@ fn place(stbl: &[u8], sizes: &[u32]) -> Result<Vec<Sample>, Mp4Error> {
     let mut run = 0;
     let mut samples = Vec::with_capacity(sizes.len());
     for (i, mut offset) in chunks.into_iter().enumerate() {
-        while runs.get(run + 1).is_some_and(|next| next.first_chunk as usize <= i + 1) {
+        while runs
+            .get(run + 1)
+            .is_some_and(|next| next.first_chunk as usize <= i + 1)
+        {
             run += 1;
         }
         let in_chunk = runs.get(run).map_or(0, |r| r.samples_per_chunk as usize);
         for &size in sizes.iter().skip(samples.len()).take(in_chunk) {
-            samples.push(Sample { offset, size, ticks: 0 });
+            samples.push(Sample {
+                offset,
+                size,
+                ticks: 0,
+            });
             offset = offset.saturating_add(u64::from(size));
         }
     }
     if samples.len() < sizes.len() {
-        return Err(Mp4Error::Bad(format!("its index places {} of {} samples", samples.len(), sizes.len())));
+        return Err(Mp4Error::Bad(format!(
+            "its index places {} of {} samples",
+            samples.len(),
+            sizes.len()
+        )));
     }
     Ok(samples)
 }
@@ -198,7 +250,9 @@ fn time(stbl: &[u8], samples: &mut [Sample]) -> Result<(), Mp4Error> {
     }
     let timed = total - untimed.len();
     if timed < total {
-        return Err(Mp4Error::Bad(format!("its index times {timed} of {total} samples")));
+        return Err(Mp4Error::Bad(format!(
+            "its index times {timed} of {total} samples"
+        )));
     }
     let mut rest = samples.iter_mut();
     for run in optional::<Ctts>(stbl)?.unwrap_or_default().entries {

@@ -15,15 +15,24 @@ pub struct Orientation {
 }
 
 impl Orientation {
-    /// From the display matrix of a track (`x' = a x + c y`, `y' = b x + d y`, y down); `None` if not one of the eight up to scale.
+    /// From the display matrix of a track (`x' = a x + c y`, `y' = b x + d y`, y down); `None` if
+    /// not one of the eight up to scale.
     pub fn from_matrix(&Matrix { a, b, c, d, .. }: &Matrix) -> Option<Self> {
         // Rounding of turned matrices leaves a few units where 0 is meant (65536 = 1).
         let small = |v: i32| v.unsigned_abs() < 1024;
         if small(b) && small(c) && !small(a) && !small(d) {
-            Some(Self { transpose: false, flip_x: a < 0, flip_y: d < 0 })
+            Some(Self {
+                transpose: false,
+                flip_x: a < 0,
+                flip_y: d < 0,
+            })
         } else if small(a) && small(d) && !small(b) && !small(c) {
             // x' follows y with the sign of c, y' follows x with the sign of b.
-            Some(Self { transpose: true, flip_x: c < 0, flip_y: b < 0 })
+            Some(Self {
+                transpose: true,
+                flip_x: c < 0,
+                flip_y: b < 0,
+            })
         } else {
             None
         }
@@ -76,29 +85,54 @@ impl Timeline {
         let mut shown_at = 0.0;
         for edit in edits {
             let length_s = edit.segment_duration as f64 / movie;
-            let rate =
-                f64::from(edit.media_rate.integer()) + f64::from(edit.media_rate.decimal().cast_unsigned()) / 65536.0;
+            let rate = f64::from(edit.media_rate.integer())
+                + f64::from(edit.media_rate.decimal().cast_unsigned()) / 65536.0;
             if let Some(from) = edit.media_time.filter(|_| rate > 0.0) {
                 let from = from as f64;
                 // The duration was rounded to ticks of the movie: a frame that starts within one of
                 // the end belongs to what was cut away.
                 let to = from + (length_s - 1.0 / movie) * track * rate;
-                let to = if edit.segment_duration == 0 { f64::INFINITY } else { to.max(from + 1.0) };
-                parts.push(Part { from, to, shown_at, rate });
+                let to = if edit.segment_duration == 0 {
+                    f64::INFINITY
+                } else {
+                    to.max(from + 1.0)
+                };
+                parts.push(Part {
+                    from,
+                    to,
+                    shown_at,
+                    rate,
+                });
             }
             shown_at += length_s;
         }
         if parts.is_empty() {
-            parts.push(Part { from: f64::NEG_INFINITY, to: f64::INFINITY, shown_at: 0.0, rate: 1.0 });
+            parts.push(Part {
+                from: f64::NEG_INFINITY,
+                to: f64::INFINITY,
+                shown_at: 0.0,
+                rate: 1.0,
+            });
         }
-        Self { parts, ticks_per_s: track }
+        Self {
+            parts,
+            ticks_per_s: track,
+        }
     }
 
-    /// Seconds at which the frame of composition time `ticks` is shown; `None` when cut away. Only differences count.
+    /// Seconds at which the frame of composition time `ticks` is shown; `None` when cut away. Only
+    /// differences count.
     pub fn shown_s(&self, ticks: i64) -> Option<f64> {
         let ticks = ticks as f64;
-        let part = self.parts.iter().find(|p| ticks >= p.from && ticks < p.to)?;
-        let origin = if part.from.is_finite() { part.from } else { 0.0 };
+        let part = self
+            .parts
+            .iter()
+            .find(|p| ticks >= p.from && ticks < p.to)?;
+        let origin = if part.from.is_finite() {
+            part.from
+        } else {
+            0.0
+        };
         Some(part.shown_at + (ticks - origin) / self.ticks_per_s / part.rate)
     }
 }
@@ -110,20 +144,47 @@ mod tests {
 
     #[test]
     fn other_display_matrices_have_no_orientation() {
-        let whole = Matrix { a: 46341, b: 46341, u: 0, c: -46341, d: 46341, v: 0, x: 0, y: 0, w: 1 << 30 };
+        let whole = Matrix {
+            a: 46341,
+            b: 46341,
+            u: 0,
+            c: -46341,
+            d: 46341,
+            v: 0,
+            x: 0,
+            y: 0,
+            w: 1 << 30,
+        };
         assert_eq!(Orientation::from_matrix(&whole), None);
-        assert_eq!(Orientation::from_matrix(&Matrix { a: 0, b: 0, c: 0, d: 0, ..whole }), None);
+        assert_eq!(
+            Orientation::from_matrix(&Matrix {
+                a: 0,
+                b: 0,
+                c: 0,
+                d: 0,
+                ..whole
+            }),
+            None
+        );
     }
 
     /// Rates in quarters.
     fn edit(segment_duration: u64, media_time: Option<u64>, rate: i16) -> ElstEntry {
         let media_rate = FixedPoint::new(rate / 4, rate % 4 * 0x4000);
-        ElstEntry { segment_duration, media_time, media_rate }
+        ElstEntry {
+            segment_duration,
+            media_time,
+            media_rate,
+        }
     }
 
     #[test]
     fn edit_lists_shift_cut_and_stretch_frames() {
-        let delayed = Timeline::new(&[edit(500, None, 4), edit(1000, Some(24_000), 4)], 1000, 12_000);
+        let delayed = Timeline::new(
+            &[edit(500, None, 4), edit(1000, Some(24_000), 4)],
+            1000,
+            12_000,
+        );
         let slow = Timeline::new(&[edit(600, Some(0), 4), edit(600, Some(600), 1)], 600, 600);
         let whole = Timeline::new(&[], 600, 600);
         let open = Timeline::new(&[edit(0, Some(1024), 4)], 600, 12_288);

@@ -1,4 +1,5 @@
-//! One step of the nodes that carry splats, at the keys that frames showed: the version in CubeCL of [`crate::adam::nodes`].
+//! One step of the nodes that carry splats, at the keys that frames showed: the version in CubeCL
+//! of [`crate::adam::nodes`].
 
 use crate::NODE_PARAMETERS;
 use crate::adam::cpu::AdamConfig;
@@ -27,10 +28,16 @@ pub struct DeviceNodes {
 impl DeviceNodes {
     /// Copies the moments of each window to the device. Fails with [`GpuError`] if they do not fit.
     pub fn upload(gpu: &Gpu, nodes: &[NodeMoments]) -> Result<Self, GpuError> {
-        let joined = |of: fn(&NodeMoments) -> &Vec<f32>| nodes.iter().flat_map(of).copied().collect::<Vec<f32>>();
+        let joined = |of: fn(&NodeMoments) -> &Vec<f32>| {
+            nodes.iter().flat_map(of).copied().collect::<Vec<f32>>()
+        };
         let (m, v) = (joined(|nodes| &nodes.m), joined(|nodes| &nodes.v));
         gpu.fits("the moments of nodes", 4 * m.len())?;
-        let steps: Vec<u32> = nodes.iter().flat_map(|nodes| &nodes.step).copied().collect();
+        let steps: Vec<u32> = nodes
+            .iter()
+            .flat_map(|nodes| &nodes.step)
+            .copied()
+            .collect();
         let client = &gpu.client;
         Ok(Self {
             m: Buffer::floats(client, &m),
@@ -41,7 +48,12 @@ impl DeviceNodes {
     }
 
     /// Waits, and copies them back. Fails with [`GpuError`] if the device failed.
-    pub fn download(&self, gpu: &Gpu, windows: &[Window], doing: &'static str) -> Result<Vec<NodeMoments>, GpuError> {
+    pub fn download(
+        &self,
+        gpu: &Gpu,
+        windows: &[Window],
+        doing: &'static str,
+    ) -> Result<Vec<NodeMoments>, GpuError> {
         let m = self.m.read_floats(&gpu.client, doing)?;
         let v = self.v.read_floats(&gpu.client, doing)?;
         let steps = self.steps.read_words(&gpu.client, doing)?;
@@ -84,8 +96,8 @@ impl DeviceNodes {
         Ok(())
     }
 
-    /// One step of the nodes at these keys of windows along the gradients that `bound` has; those of keys and nodes that are all 0 stay. `tally`
-    /// notes parameters that are not finite.
+    /// One step of the nodes at these keys of windows along the gradients that `bound` has; those
+    /// of keys and nodes that are all 0 stay. `tally` notes parameters that are not finite.
     pub fn step(
         &self,
         gpu: &Gpu,
@@ -100,7 +112,10 @@ impl DeviceNodes {
         }
         let mut table = Vec::with_capacity(3 * keys.len());
         for &(window, key) in keys {
-            let before: usize = bound.windows()[..window].iter().map(|w| w.keys().len()).sum();
+            let before: usize = bound.windows()[..window]
+                .iter()
+                .map(|w| w.keys().len())
+                .sum();
             let [first, nodes] = bound.poses_at(window, key);
             table.extend([first as u32, nodes as u32, (before + key) as u32]);
         }
@@ -109,7 +124,15 @@ impl DeviceNodes {
             client,
             step_nodes::launch,
             (cubes(keys.len(), 1), units()),
-            [bound.poses, bound.gradients, self.m, self.v, self.steps, gpu.input(&table), tally.buffer],
+            [
+                bound.poses,
+                bound.gradients,
+                self.m,
+                self.v,
+                self.steps,
+                gpu.input(&table),
+                tally.buffer
+            ],
             [
                 keys.len() as u32,
                 config.beta1 as f32,
@@ -122,7 +145,8 @@ impl DeviceNodes {
     }
 }
 
-/// A step of the nodes at a key, a cube a key; `table` holds the first pose, the number of nodes, and the number of the key.
+/// A step of the nodes at a key, a cube a key; `table` holds the first pose, the number of nodes,
+/// and the number of the key.
 #[cube(launch)]
 fn step_nodes(
     poses: &mut [f32],

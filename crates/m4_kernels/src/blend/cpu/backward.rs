@@ -1,14 +1,20 @@
-//! The backward pass, from pixels to splats: the replay form (docs/spec/optimiser.md 1.7), front to back.
+//! The backward pass, from pixels to splats: the replay form (docs/spec/optimiser.md 1.7), front to
+//! back.
 //!
-//! Sums over pixels are products of matrices. For a splat on a tile there are two rows of sixteen numbers, `omega` and
-//! the weight `w`; the sums wanted are those of `omega` times `1, X, Y, XX, XY, YY` and of `w` times the gradients of
-//! the channels. So the rows are stored interleaved, and for each pixel the pair `(omega, w)` is loaded into all lanes
-//! and multiplied with a row of a table that has `1, v_red, X, v_green, Y, v_blue, ...` of that pixel: sixteen
-//! multiplications and additions, no shuffles, and the sums of a splat come out side by side, as [`Sums`] wants them.
+//! Sums over pixels are products of matrices. For a splat on a tile there are two rows of sixteen
+//! numbers, `omega` and the weight `w`; the sums wanted are those of `omega` times
+//! `1, X, Y, XX, XY, YY` and of `w` times the gradients of the channels. So the rows are stored
+//! interleaved, and for each pixel the pair `(omega, w)` is loaded into all lanes and multiplied
+//! with a row of a table that has `1, v_red, X, v_green, Y, v_blue, ...` of that pixel: sixteen
+//! multiplications and additions, no shuffles, and the sums of a splat come out side by side, as
+//! [`Sums`] wants them.
 //!
-//! `X` and `Y` count from the middle of the block; the sums are moved to the splat's centre once a block.
+//! `X` and `Y` count from the middle of the block; the sums are moved to the splat's centre once a
+//! block.
 
-use super::{BLOCK_TILES, CHUNK, COLUMN, Copies, Pixels, ROW, Sums, T_FLOOR, Used, alpha, copy, step};
+use super::{
+    BLOCK_TILES, CHUNK, COLUMN, Copies, Pixels, ROW, Sums, T_FLOOR, Used, alpha, copy, step,
+};
 use crate::{
     blend::planes::{BandGradient, BandPlace, PIXELS},
     ellipse::ALPHA_MAX,
@@ -22,14 +28,20 @@ use crate::{
 use fearless_simd::{Simd, f32x16, f64x8, prelude::*};
 use fearless_simd_macros::simd;
 
-/// Splats that go through one stage after another: as many as pays, unlike the forward pass this one
-/// knows where it ends.
+/// Splats that go through one stage after another: as many as pays, unlike the forward pass this
+/// one knows where it ends.
 const BATCH: usize = 32;
 /// The middle of a block, from its first pixel.
 const MIDDLE: [f32; 2] = [0.5 * (BLOCK_WIDTH - 1) as f32, 0.5 * (BAND_ROWS - 1) as f32];
 /// Lanes of the moments of `omega`, [`Sums`].
-const EVEN: [usize; 6] =
-    [Sums::WEIGHT, Sums::FIRST[0], Sums::FIRST[1], Sums::SECOND[0], Sums::SECOND[1], Sums::SECOND[2]];
+const EVEN: [usize; 6] = [
+    Sums::WEIGHT,
+    Sums::FIRST[0],
+    Sums::FIRST[1],
+    Sums::SECOND[0],
+    Sums::SECOND[1],
+    Sums::SECOND[2],
+];
 /// For each pixel of each tile of a block: `1, X, Y, XX, XY, YY` in their lanes.
 static MOMENTS: [[[f32; 16]; PIXELS]; BLOCK_TILES] = moments();
 
@@ -105,11 +117,18 @@ pub(crate) fn backward<S: Simd>(
     let mut background = [zero; 3];
     let mut replayed = used.replay();
     let mut records = [Record::default(); CHUNK];
-    let mut stages =
-        Stages { alpha: [[0.0; PIXELS]; BATCH], along: [[0.0; PIXELS]; BATCH], pairs: [[0.0; PIXELS]; BATCH] };
+    let mut stages = Stages {
+        alpha: [[0.0; PIXELS]; BATCH],
+        along: [[0.0; PIXELS]; BATCH],
+        pairs: [[0.0; PIXELS]; BATCH],
+    };
     let mut totals = [Sums::default(); CHUNK];
     for block in 0..place.blocks() {
-        let mut states = [State { t: zero, behind: zero, rgb: [zero; 3] }; BLOCK_TILES];
+        let mut states = [State {
+            t: zero,
+            behind: zero,
+            rgb: [zero; 3],
+        }; BLOCK_TILES];
         for (tile, state) in states.iter_mut().enumerate() {
             *state = fresh(s, place, block, tile, g, &mut background);
         }
@@ -159,7 +178,11 @@ fn fresh<S: Simd>(
     let window = place.window(block, tile);
     let left = window.load(s, g.transmittance);
     let zero = all(s, 0.0);
-    let mut state = State { t: f32x16::from_slice(s, &window.fresh(1.0, T_FLOOR)), behind: zero, rgb: [zero; 3] };
+    let mut state = State {
+        t: f32x16::from_slice(s, &window.fresh(1.0, T_FLOOR)),
+        behind: zero,
+        rgb: [zero; 3],
+    };
     for c in 0..3 {
         let v = window.load(s, g.d_rgb[c]);
         state.rgb[c] = v;
@@ -172,7 +195,11 @@ fn fresh<S: Simd>(
 /// What the pairs of each pixel of a tile are multiplied with.
 #[inline(always)]
 fn table<S: Simd>(s: S, tile: usize, state: &State<S>) -> [f32x16<S>; PIXELS] {
-    let rgb: [[f32; PIXELS]; 3] = [state.rgb[0].to_array(), state.rgb[1].to_array(), state.rgb[2].to_array()];
+    let rgb: [[f32; PIXELS]; 3] = [
+        state.rgb[0].to_array(),
+        state.rgb[1].to_array(),
+        state.rgb[2].to_array(),
+    ];
     let mut out = [all(s, 0.0); PIXELS];
     for p in 0..PIXELS {
         let mut row = f32x16::from_slice(s, &MOMENTS[tile][p]);
@@ -193,13 +220,23 @@ fn reciprocal<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
 
 /// What does not depend on the splats in front.
 #[inline(always)]
-fn shapes<S: Simd>(s: S, batch: &[u8], records: &Copies, pixels: &Pixels<S>, state: &State<S>, out: &mut Stages) {
+fn shapes<S: Simd>(
+    s: S,
+    batch: &[u8],
+    records: &Copies,
+    pixels: &Pixels<S>,
+    state: &State<S>,
+    out: &mut Stages,
+) {
     for (n, &place) in batch.iter().enumerate().take(BATCH) {
         let r = &records[place as usize % CHUNK];
         let alpha = alpha(s, r, pixels);
         alpha.store_slice(&mut out.alpha[n]);
         let rgb = all3(s, &r.rgb);
-        let along = rgb[0].mul_add(state.rgb[0], rgb[1].mul_add(state.rgb[1], rgb[2] * state.rgb[2]));
+        let along = rgb[0].mul_add(
+            state.rgb[0],
+            rgb[1].mul_add(state.rgb[1], rgb[2] * state.rgb[2]),
+        );
         along.store_slice(&mut out.along[n]);
     }
 }
@@ -229,10 +266,21 @@ fn replay<S: Simd>(s: S, len: usize, state: &mut State<S>, stages: &mut Stages) 
 
 /// Adds the sums of a batch to its entries' `totals`.
 #[inline(always)]
-fn add_sums<S: Simd>(s: S, batch: &[u8], stages: &Stages, table: &[f32x16<S>; PIXELS], totals: &mut [Sums; CHUNK]) {
+fn add_sums<S: Simd>(
+    s: S,
+    batch: &[u8],
+    stages: &Stages,
+    table: &[f32x16<S>; PIXELS],
+    totals: &mut [Sums; CHUNK],
+) {
     for (&place, row) in batch.iter().zip(&stages.pairs) {
         let pair = |p: usize| -> f32x16<S> { f64x8::splat(s, row[p]).bitcast() };
-        let mut sum = [pair(0) * table[0], pair(1) * table[1], pair(2) * table[2], pair(3) * table[3]];
+        let mut sum = [
+            pair(0) * table[0],
+            pair(1) * table[1],
+            pair(2) * table[2],
+            pair(3) * table[3],
+        ];
         for p in (4..PIXELS).step_by(4) {
             for k in 0..4 {
                 sum[k] = pair(p + k).mul_add(table[p + k], sum[k]);
@@ -260,27 +308,47 @@ const XX: usize = Sums::SECOND[0];
 const XY: usize = Sums::SECOND[1];
 const YY: usize = Sums::SECOND[2];
 
-/// Moves an entry's sums from the middle of the block to the splat's centre, `(dx, dy)` from there, and
-/// adds them to its splat.
+/// Moves an entry's sums from the middle of the block to the splat's centre, `(dx, dy)` from there,
+/// and adds them to its splat.
 ///
 /// With the sums `S, SX, SY, ...` about the middle, those about the centre are `dx S - SX`,
-/// `dx dx S - 2 dx SX + SXX`, `dx dy S - dy SX - dx SY + SXY` and so on: each of `S`, `SX` and `SY` times
-/// a vector, and the sums themselves with signs.
+/// `dx dx S - 2 dx SX + SXX`, `dx dy S - dy SX - dx SY + SXY` and so on: each of `S`, `SX` and `SY`
+/// times a vector, and the sums themselves with signs.
 #[inline(always)]
-fn add_centred<S: Simd>(s: S, dx: f32x16<S>, dy: f32x16<S>, total: &[f32; 16], sum: &mut [f32; 16]) {
+fn add_centred<S: Simd>(
+    s: S,
+    dx: f32x16<S>,
+    dy: f32x16<S>,
+    total: &[f32; 16],
+    sum: &mut [f32; 16],
+) {
     const SIGNS: [f32; 16] = {
         let mut out = [1.0; 16];
         (out[X], out[Y]) = (-1.0, -1.0);
         out
     };
-    let form = |x: &[f32; 16], y: &[f32; 16]| f32x16::from_slice(s, x) * dx + f32x16::from_slice(s, y) * dy;
+    let form = |x: &[f32; 16], y: &[f32; 16]| {
+        f32x16::from_slice(s, x) * dx + f32x16::from_slice(s, y) * dy
+    };
     // dx, dy, dx dx, dx dy, dy dy
     let one = const { lanes([(X, 1.0), (Y, 1.0)]) };
-    let of_weight = form(&const { lanes([(X, 1.0), (XX, 1.0), (XY, 1.0)]) }, &const { lanes([(Y, 1.0), (YY, 1.0)]) })
-        * (form(&const { lanes([(XX, 1.0)]) }, &const { lanes([(XY, 1.0), (YY, 1.0)]) }) + f32x16::from_slice(s, &one));
-    let of_x = form(&const { lanes([(XX, -2.0)]) }, &const { lanes([(XY, -1.0)]) });
-    let of_y = form(&const { lanes([(XY, -1.0)]) }, &const { lanes([(YY, -2.0)]) });
-    let mut moved = f32x16::from_slice(s, total).mul_add(f32x16::from_slice(s, &SIGNS), f32x16::from_slice(s, sum));
+    let of_weight = form(
+        &const { lanes([(X, 1.0), (XX, 1.0), (XY, 1.0)]) },
+        &const { lanes([(Y, 1.0), (YY, 1.0)]) },
+    ) * (form(
+        &const { lanes([(XX, 1.0)]) },
+        &const { lanes([(XY, 1.0), (YY, 1.0)]) },
+    ) + f32x16::from_slice(s, &one));
+    let of_x = form(
+        &const { lanes([(XX, -2.0)]) },
+        &const { lanes([(XY, -1.0)]) },
+    );
+    let of_y = form(
+        &const { lanes([(XY, -1.0)]) },
+        &const { lanes([(YY, -2.0)]) },
+    );
+    let mut moved = f32x16::from_slice(s, total)
+        .mul_add(f32x16::from_slice(s, &SIGNS), f32x16::from_slice(s, sum));
     moved = all(s, total[Sums::WEIGHT]).mul_add(of_weight, moved);
     moved = all(s, total[X]).mul_add(of_x, moved);
     moved = all(s, total[Y]).mul_add(of_y, moved);

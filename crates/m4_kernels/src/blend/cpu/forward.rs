@@ -1,5 +1,5 @@
-//! The passes from near to far: splats to pixels, and sums of a map of weights over the pixels that each
-//! splat is blended on (Minute4D Eq. 9).
+//! The passes from near to far: splats to pixels, and sums of a map of weights over the pixels that
+//! each splat is blended on (Minute4D Eq. 9).
 
 use crate::{
     blend::{
@@ -60,7 +60,12 @@ fn band_forward<S: Simd, const DEPTH: bool>(
     let mut records = [Record::default(); CHUNK];
     let zero = all(s, 0.0);
     for block in 0..place.blocks() {
-        let mut states = [State { t: zero, left: all(s, 1.0), rgb: [zero; 3], depth: zero }; BLOCK_TILES];
+        let mut states = [State {
+            t: zero,
+            left: all(s, 1.0),
+            rgb: [zero; 3],
+            depth: zero,
+        }; BLOCK_TILES];
         for (tile, state) in states.iter_mut().enumerate() {
             state.t = f32x16::from_slice(s, &place.window(block, tile).fresh(1.0, T_FLOOR));
         }
@@ -103,7 +108,8 @@ fn band_forward<S: Simd, const DEPTH: bool>(
     }
 }
 
-/// Blends a list onto a tile; returns how much of it was needed and whether every pixel is finished.
+/// Blends a list onto a tile; returns how much of it was needed and whether every pixel is
+/// finished.
 #[inline(always)]
 fn tile_forward<S: Simd, const DEPTH: bool>(
     s: S,
@@ -112,12 +118,17 @@ fn tile_forward<S: Simd, const DEPTH: bool>(
     pixels: &Pixels<S>,
     state: &mut State<S>,
 ) -> (usize, bool) {
-    let State { mut t, mut left, mut rgb, mut depth } = *state;
+    let State {
+        mut t,
+        mut left,
+        mut rgb,
+        mut depth,
+    } = *state;
     let (mut count, mut finished) = (0, false);
     let mut alphas = [[0.0; 16]; BATCH];
     for batch in list.chunks(BATCH) {
-        // two loops, because the processor looks only a limited number of operations ahead: the second waits for
-        // itself, the first for nothing
+        // two loops, because the processor looks only a limited number of operations ahead: the
+        // second waits for itself, the first for nothing
         for (&place, row) in batch.iter().zip(&mut alphas) {
             alpha(s, &records[place as usize % CHUNK], pixels).store_slice(row);
         }
@@ -141,7 +152,12 @@ fn tile_forward<S: Simd, const DEPTH: bool>(
             break;
         }
     }
-    *state = State { t, left, rgb, depth };
+    *state = State {
+        t,
+        left,
+        rgb,
+        depth,
+    };
     (count, finished)
 }
 
@@ -175,8 +191,7 @@ fn band_score<S: Simd>(
     let mut replay = used.replay();
     let mut records = [Record::default(); CHUNK];
     for block in 0..place.blocks() {
-        let mut t: [f32x16<S>; BLOCK_TILES] =
-            each!(BLOCK_TILES, tile => f32x16::from_slice(s, &place.window(block, tile).fresh(1.0, T_FLOOR)));
+        let mut t: [f32x16<S>; BLOCK_TILES] = each!(BLOCK_TILES, tile => f32x16::from_slice(s, &place.window(block, tile).fresh(1.0, T_FLOOR)));
         for chunk in band.list(block)[..used.walked[block] as usize].chunks(CHUNK) {
             copy(chunk, rows, &mut records);
             for (tile, list) in replay.chunk().into_iter().enumerate() {

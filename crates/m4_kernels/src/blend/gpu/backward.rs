@@ -1,12 +1,13 @@
-//! Gradients of the ellipses: one cube of 32 units per bucket of 32 entries. The entries of a bucket come one after the other,
-//! each on the pixels of its bounding box alone, which the units share; what is left of each pixel's light stays in
-//! shared memory.
+//! Gradients of the ellipses: one cube of 32 units per bucket of 32 entries. The entries of a
+//! bucket come one after the other, each on the pixels of its bounding box alone, which the units
+//! share; what is left of each pixel's light stays in shared memory.
 use super::{ALPHA_MAX, LOG2_ALPHA_MIN};
 use crate::tile_binning::gpu::{BUCKETS, REACH, RECORD, SLACK_PX};
 use cubecl::prelude::*;
 use std::f32::consts::LN_2;
 
-/// Sums of an entry over the pixels of its tile: weight, first and second moments, colours (docs/spec/optimiser.md 1.7).
+/// Sums of an entry over the pixels of its tile: weight, first and second moments, colours
+/// (docs/spec/optimiser.md 1.7).
 pub(crate) const SUMS: usize = 9;
 /// Numbers of a record that are used here: all but the depth.
 const USED: usize = RECORD - 1;
@@ -35,7 +36,8 @@ pub(crate) fn blend_backward(
     width: u32,
     height: u32,
 ) {
-    // of each pixel of the tile: the gradient, its end, the light that is left, and what is blended behind along the gradient
+    // of each pixel of the tile: the gradient, its end, the light that is left, and what is blended
+    // behind along the gradient
     let mut d_reds = Shared::<[f32]>::new_slice(64usize);
     let mut d_greens = Shared::<[f32]>::new_slice(64usize);
     let mut d_blues = Shared::<[f32]>::new_slice(64usize);
@@ -87,8 +89,10 @@ pub(crate) fn blend_backward(
                     d_greens[p as usize] = gg;
                     d_blues[p as usize] = gb;
                     lights[p as usize] = checkpoints[k];
-                    behinds[p as usize] =
-                        shown - (gr * checkpoints[k + 1] + gg * checkpoints[k + 2] + gb * checkpoints[k + 3]);
+                    behinds[p as usize] = shown
+                        - (gr * checkpoints[k + 1]
+                            + gg * checkpoints[k + 2]
+                            + gb * checkpoints[k + 3]);
                 }
                 p += 32u32;
             }
@@ -163,7 +167,12 @@ pub(crate) fn blend_backward(
             // one barrier an entry: what the units write after it lies in the other half
             sync_cube();
             if e > 0u32 {
-                write_sums(&thirds, 1usize - half, slots[(first + e - 1u32) as usize], sums);
+                write_sums(
+                    &thirds,
+                    1usize - half,
+                    slots[(first + e - 1u32) as usize],
+                    sums,
+                );
             }
             if UNIT_POS < ADDERS {
                 let from = half * SUMS * ROW + (UNIT_POS % 9u32) as usize * ROW;
@@ -178,7 +187,12 @@ pub(crate) fn blend_backward(
         sync_cube();
         if count > 0u32 {
             let last = count - 1u32;
-            write_sums(&thirds, (last % 2u32) as usize, slots[(first + last) as usize], sums);
+            write_sums(
+                &thirds,
+                (last % 2u32) as usize,
+                slots[(first + last) as usize],
+                sums,
+            );
         }
         if UNIT_POS >= count && first + UNIT_POS < end {
             let s = slots[(first + UNIT_POS) as usize] as usize * SUMS;
@@ -194,14 +208,22 @@ pub(crate) fn blend_backward(
 fn write_sums(thirds: &Shared<[f32]>, half: usize, slot: u32, sums: &mut [f32]) {
     if UNIT_POS < 9u32 {
         let from = half * 27 + UNIT_POS as usize;
-        sums[slot as usize * SUMS + UNIT_POS as usize] = thirds[from] + thirds[from + 9] + thirds[from + 18];
+        sums[slot as usize * SUMS + UNIT_POS as usize] =
+            thirds[from] + thirds[from + 9] + thirds[from + 18];
     }
 }
 
-/// The pixels of a tile that an ellipse may change: first column, first row, columns and rows, a byte each, and the factor that
-/// divides numbers of pixels by the columns (65,536 of them make 1).
+/// The pixels of a tile that an ellipse may change: first column, first row, columns and rows, a
+/// byte each, and the factor that divides numbers of pixels by the columns (65,536 of them make 1).
 #[cube]
-fn bounding_box(reaches: &[f32], splat: usize, left: u32, top: u32, width: u32, height: u32) -> (u32, u32) {
+fn bounding_box(
+    reaches: &[f32],
+    splat: usize,
+    left: u32,
+    top: u32,
+    width: u32,
+    height: u32,
+) -> (u32, u32) {
     let r = splat * REACH;
     let (x0, y0) = (f32::cast_from(left), f32::cast_from(top));
     let half_x = (reaches[r + 5] * reaches[r + 2]).sqrt() + SLACK_PX;

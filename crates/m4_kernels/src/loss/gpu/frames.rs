@@ -13,7 +13,8 @@ enum Place {
 }
 
 impl Place {
-    /// Takes from `left` what stays on the device; if that is not enough nothing does from there on.
+    /// Takes from `left` what stays on the device; if that is not enough nothing does from there
+    /// on.
     fn new(gpu: &Gpu, words: Vec<u32>, left: &mut usize) -> Self {
         let bytes = 4 * words.len();
         if bytes <= *left {
@@ -44,14 +45,18 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Packs `frames`. Those that fit into `budget_bytes` go to the device for good, in their order.
-    /// Fails with [`GpuError`] if there are none, they differ in size, or one does not fit.
+    /// Packs `frames`. Those that fit into `budget_bytes` go to the device for good, in their
+    /// order. Fails with [`GpuError`] if there are none, they differ in size, or one does not fit.
     pub fn new<T: Borrow<Target>>(
         gpu: &Gpu,
         frames: impl IntoIterator<Item = T>,
         budget_bytes: usize,
     ) -> Result<Self, GpuError> {
-        let mut out = Self { width: 0, height: 0, list: Vec::new() };
+        let mut out = Self {
+            width: 0,
+            height: 0,
+            list: Vec::new(),
+        };
         let mut left = budget_bytes;
         for (index, frame) in frames.into_iter().enumerate() {
             let frame = frame.borrow();
@@ -60,7 +65,11 @@ impl Frames {
                 (out.width, out.height) = size;
             }
             if size != (out.width, out.height) || size.0 * size.1 == 0 {
-                return Err(GpuError::FrameSize { index, size, first: (out.width, out.height) });
+                return Err(GpuError::FrameSize {
+                    index,
+                    size,
+                    first: (out.width, out.height),
+                });
             }
             let words = packed(frame);
             gpu.fits("a frame", 4 * words.len())?;
@@ -74,25 +83,38 @@ impl Frames {
 
     /// How many of them stay on the device.
     pub fn resident(&self) -> usize {
-        self.list.iter().filter(|frame| matches!(frame, Place::Device(_))).count()
+        self.list
+            .iter()
+            .filter(|frame| matches!(frame, Place::Device(_)))
+            .count()
     }
 
-    /// Frame `index`, uploaded if it is missing: planes of bytes, four per word; each plane starts with a word of its own.
-    /// Fails with [`GpuError`] if there is no such frame.
+    /// Frame `index`, uploaded if it is missing: planes of bytes, four per word; each plane starts
+    /// with a word of its own. Fails with [`GpuError`] if there is no such frame.
     pub fn get(&self, gpu: &Gpu, index: usize) -> Result<Buffer, GpuError> {
         let count = self.list.len();
-        self.list.get(index).map(|frame| frame.get(gpu)).ok_or(GpuError::NoFrame { index, count })
+        self.list
+            .get(index)
+            .map(|frame| frame.get(gpu))
+            .ok_or(GpuError::NoFrame { index, count })
     }
 }
 
 /// The planes of a frame in words.
 fn packed(frame: &Target) -> Vec<u32> {
-    frame.planes().iter().flat_map(|plane| plane.chunks(4).map(word)).collect()
+    frame
+        .planes()
+        .iter()
+        .flat_map(|plane| plane.chunks(4).map(word))
+        .collect()
 }
 
 /// At most four bytes, the first the lowest.
 fn word(bytes: &[u8]) -> u32 {
-    bytes.iter().rev().fold(0, |word, &byte| word << 8 | u32::from(byte))
+    bytes
+        .iter()
+        .rev()
+        .fold(0, |word, &byte| word << 8 | u32::from(byte))
 }
 
 #[cfg(test)]
@@ -102,7 +124,11 @@ mod tests {
 
     #[test]
     fn planes_start_with_words_of_their_own() {
-        let bytes = Target::from_bytes(5, 1, [[1, 2, 3, 4, 5], [6; 5], [7; 5]].map(|p| p.to_vec())).unwrap();
-        assert_eq!(packed(&bytes), [0x0403_0201, 5, 0x0606_0606, 6, 0x0707_0707, 7]);
+        let bytes = Target::from_bytes(5, 1, [[1, 2, 3, 4, 5], [6; 5], [7; 5]].map(|p| p.to_vec()))
+            .unwrap();
+        assert_eq!(
+            packed(&bytes),
+            [0x0403_0201, 5, 0x0606_0606, 6, 0x0707_0707, 7]
+        );
     }
 }

@@ -20,15 +20,26 @@ fn scene(rng: &mut CounterRng) -> Splats {
         let anchors = (0..NODES).map(|_| numbers(3).try_into().unwrap()).collect();
         let poses = (0..5 * NODES).map(|_| {
             let q = Vector4::from_vec(numbers(4)).normalize();
-            Pose { position: numbers(3).try_into().unwrap(), rotation: q.into() }
+            Pose {
+                position: numbers(3).try_into().unwrap(),
+                rotation: q.into(),
+            }
         });
         Window::new(keys, anchors, poses.collect()).unwrap()
     };
     let windows = vec![window(0.0), window(5.0)];
-    let layout = SplatLayout { isotropic: false, sh_degree: 1, time_degree: 0 };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 1,
+        time_degree: 0,
+    };
     let mut splats = Splats::zeros(layout, 2, BOUND + 1);
-    splats.columns_mut().for_each(|column| column.fill_with(|| rng.normal() as f32));
-    splats.column_mut(Column::TimeMean, 0).fill_with(|| (10.0 * rng.uniform()) as f32);
+    splats
+        .columns_mut()
+        .for_each(|column| column.fill_with(|| rng.normal() as f32));
+    splats
+        .column_mut(Column::TimeMean, 0)
+        .fill_with(|| (10.0 * rng.uniform()) as f32);
     let bindings = (0..BOUND).map(|i| {
         let begin = (8.0 * rng.uniform()) as f32;
         Binding {
@@ -46,15 +57,19 @@ fn of_reference(splats: &Splats, i: usize, t: f32) -> (Vec<Node<f64>>, Splat<f64
     let binding = &splats.bindings()[i];
     let window = &splats.windows()[binding.window as usize];
     let wide = |v: [f32; 3]| Vector3::from(v.map(f64::from));
-    let nodes = binding.nodes.iter().zip(binding.weights).map(|(&node, weight)| {
-        let pose = window.pose(usize::from(node), t);
-        Node {
-            anchor: wide(window.anchors()[usize::from(node)]),
-            position: wide(pose.position),
-            rotation: Vector4::from(pose.rotation.map(f64::from)),
-            weight: f64::from(weight),
-        }
-    });
+    let nodes = binding
+        .nodes
+        .iter()
+        .zip(binding.weights)
+        .map(|(&node, weight)| {
+            let pose = window.pose(usize::from(node), t);
+            Node {
+                anchor: wide(window.anchors()[usize::from(node)]),
+                position: wide(pose.position),
+                rotation: Vector4::from(pose.rotation.map(f64::from)),
+                weight: f64::from(weight),
+            }
+        });
     let row = splats.n_static() + i;
     let get = |column, k, at: usize| f64::from(splats.column(column, k)[at]);
     let three = |column, at: usize| Vector3::from_fn(|k, _| get(column, k, at));
@@ -66,9 +81,17 @@ fn of_reference(splats: &Splats, i: usize, t: f32) -> (Vec<Node<f64>>, Splat<f64
         rgb: three(Column::Colour, row),
         trend: three(Column::Trend, i),
     };
-    let presence =
-        reference::presence(f64::from(t), binding.life.map(f64::from), f64::from(FADE) * f64::from(window.gap()));
-    (nodes.collect(), splat, f64::from(t) - get(Column::TimeMean, 0, i), presence)
+    let presence = reference::presence(
+        f64::from(t),
+        binding.life.map(f64::from),
+        f64::from(FADE) * f64::from(window.gap()),
+    );
+    (
+        nodes.collect(),
+        splat,
+        f64::from(t) - get(Column::TimeMean, 0, i),
+        presence,
+    )
 }
 
 #[test]
@@ -77,7 +100,10 @@ fn the_fast_version_agrees_with_the_reference() {
     let splats = scene(&mut rng);
     let layout = splats.layout();
     let close = |got: f32, want: f64, what: &str| {
-        assert!((f64::from(got) - want).abs() < 2e-4 * (1.0 + want.abs()), "{what}: {got} for {want}");
+        assert!(
+            (f64::from(got) - want).abs() < 2e-4 * (1.0 + want.abs()),
+            "{what}: {got} for {want}"
+        );
     };
     let mut alive = 0;
     for t in [3.0f32, 4.5, 6.0] {
@@ -85,7 +111,10 @@ fn the_fast_version_agrees_with_the_reference() {
         posed.pose(&splats, t);
         let mut gradients = Gradients::default();
         gradients.reset(&splats);
-        gradients.columns.iter_mut().for_each(|column| column.fill_with(|| rng.normal() as f32));
+        gradients
+            .columns
+            .iter_mut()
+            .for_each(|column| column.fill_with(|| rng.normal() as f32));
         gradients.touched[splats.bound()].fill(1);
         let given = gradients.clone();
         posed.backward(&splats, &mut gradients);
@@ -99,7 +128,9 @@ fn the_fast_version_agrees_with_the_reference() {
             }
             alive += 1;
             let want = reference::carry(&carriers, &splat, dt, presence);
-            let get = |column, k: usize, at: usize| f64::from(given.columns[layout.column(column) + k][at]);
+            let get = |column, k: usize, at: usize| {
+                f64::from(given.columns[layout.column(column) + k][at])
+            };
             let g = Carried {
                 mean: Vector3::from_fn(|k, _| get(Column::Mean, k, row)),
                 quat: Vector4::from_fn(|k, _| get(Column::Quat, k, row)),
@@ -107,21 +138,46 @@ fn the_fast_version_agrees_with_the_reference() {
                 rgb: Vector3::from_fn(|k, _| get(Column::Colour, k, row)),
             };
             let back = reference::backward(&carriers, &splat, dt, presence, &g);
-            let got = |column, k: usize, at: usize| gradients.columns[layout.column(column) + k][at];
+            let got =
+                |column, k: usize, at: usize| gradients.columns[layout.column(column) + k][at];
             for k in 0..3 {
                 close(posed.mean[k][row], want.mean[k], "mean");
                 close(posed.colour[k][row], want.rgb[k], "colour");
-                close(got(Column::Mean, k, row), back.splat.mean[k], "gradient of the mean");
-                close(got(Column::Velocity, k, i), back.splat.velocity[k], "gradient of the velocity");
-                close(got(Column::Trend, k, i), back.splat.trend[k], "gradient of the trend");
-                close(got(Column::Colour, k, row), back.splat.rgb[k], "gradient of the colour");
+                close(
+                    got(Column::Mean, k, row),
+                    back.splat.mean[k],
+                    "gradient of the mean",
+                );
+                close(
+                    got(Column::Velocity, k, i),
+                    back.splat.velocity[k],
+                    "gradient of the velocity",
+                );
+                close(
+                    got(Column::Trend, k, i),
+                    back.splat.trend[k],
+                    "gradient of the trend",
+                );
+                close(
+                    got(Column::Colour, k, row),
+                    back.splat.rgb[k],
+                    "gradient of the colour",
+                );
             }
             for k in 0..4 {
                 close(posed.quat[k][row], want.quat[k], "quaternion");
-                close(got(Column::Quat, k, row), back.splat.quat[k], "gradient of the quaternion");
+                close(
+                    got(Column::Quat, k, row),
+                    back.splat.quat[k],
+                    "gradient of the quaternion",
+                );
             }
             close(posed.opacity[row], want.logit, "opacity");
-            close(got(Column::Opacity, 0, row), back.splat.logit, "gradient of the opacity");
+            close(
+                got(Column::Opacity, 0, row),
+                back.splat.logit,
+                "gradient of the opacity",
+            );
             let binding = &splats.bindings()[i];
             for (&node, [place, turn]) in binding.nodes.iter().zip(&back.nodes) {
                 let sum = &mut nodes[binding.window as usize][usize::from(node)];
@@ -130,7 +186,12 @@ fn the_fast_version_agrees_with_the_reference() {
             }
         }
         for found in &gradients.nodes {
-            for (got, want) in found.nodes.iter().flatten().zip(nodes[found.window].iter().flatten()) {
+            for (got, want) in found
+                .nodes
+                .iter()
+                .flatten()
+                .zip(nodes[found.window].iter().flatten())
+            {
                 close(*got, *want, "gradient of a node");
             }
         }

@@ -1,7 +1,8 @@
 //! Gradients of what is drawn of bound splats, back to the splats and to the nodes that carry them.
 
 use super::forward::{
-    Quat, carrier, conjugate, faded_slope, in_column, of_window, presence, product, quat, quat_at, side, v3_at, v3_in,
+    Quat, carrier, conjugate, faded_slope, in_column, of_window, presence, product, quat, quat_at,
+    side, v3_at, v3_in,
 };
 use super::moment::{ADD, FIRST, KEY, NODES};
 use crate::gpu::buffer::NOTHING;
@@ -24,8 +25,8 @@ fn rotation_in(geometry: &[f32], rows: usize, row: usize) -> Quat {
     )
 }
 
-/// The gradients of the nodes at the keys at this instant, a cube a node: sums over the splats that it carries, in an order that is
-/// the same every time.
+/// The gradients of the nodes at the keys at this instant, a cube a node: sums over the splats that
+/// it carries, in an order that is the same every time.
 #[cube(launch)]
 pub(super) fn node_sums(
     geometry: &[f32],
@@ -80,10 +81,14 @@ pub(super) fn node_sums(
                     seen = presence(bindings, table, j, bound, t) > 0.0f32;
                 }
                 if seen {
-                    let weight = f32::reinterpret(bindings[(WEIGHT + (code % 4u32) as usize) * bound + j]);
+                    let weight =
+                        f32::reinterpret(bindings[(WEIGHT + (code % 4u32) as usize) * bound + j]);
                     let g = v3_in(d_geometry, 0u32, rows, row);
                     let dt = t - time[j];
-                    let (mean, velocity) = (v3_in(geometry, 0u32, rows, row), v3_in(time, 2u32, dynamic, j));
+                    let (mean, velocity) = (
+                        v3_in(geometry, 0u32, rows, row),
+                        v3_in(time, 2u32, dynamic, j),
+                    );
                     let from = v3(
                         mean.x + velocity.x * dt - anchor.x,
                         mean.y + velocity.y * dt - anchor.y,
@@ -101,7 +106,10 @@ pub(super) fn node_sums(
                         let first = bindings[NODE * bound + j] as usize;
                         let half = 0.5f32 * side(motions, first, node);
                         let own = rotation_in(geometry, rows, row);
-                        let turn = product(&product(&rotation_in(d_geometry, rows, row), &conjugate(&own)), &back);
+                        let turn = product(
+                            &product(&rotation_in(d_geometry, rows, row), &conjugate(&own)),
+                            &back,
+                        );
                         x += half * turn.x;
                         y += half * turn.y;
                         z += half * turn.z;
@@ -141,7 +149,8 @@ pub(super) fn node_sums(
     }
 }
 
-/// Turns the gradients with respect to what is drawn of bound splats into those with respect to their parameters, one unit a splat.
+/// Turns the gradients with respect to what is drawn of bound splats into those with respect to
+/// their parameters, one unit a splat.
 #[cube(launch)]
 pub(super) fn own_gradients(
     geometry: &[f32],
@@ -168,7 +177,11 @@ pub(super) fn own_gradients(
             let present = presence(bindings, table, j, bound, t);
             let a = carrier(bindings, motions, j, bound);
             let dt = t - time[j];
-            let (gx, gy, gz) = (d_geometry[row], d_geometry[rows + row], d_geometry[2 * rows + row]);
+            let (gx, gy, gz) = (
+                d_geometry[row],
+                d_geometry[rows + row],
+                d_geometry[2 * rows + row],
+            );
             #[unroll]
             for k in 0usize..3usize {
                 let own = a[4 + k] * gx + a[7 + k] * gy + a[10 + k] * gz;

@@ -38,7 +38,12 @@ pub(super) fn product(a: &Quat, b: &Quat) -> Quat {
 /// Four numbers from `at` on.
 #[cube]
 pub(super) fn quat_at(numbers: &[f32], at: usize) -> Quat {
-    quat(numbers[at], numbers[at + 1], numbers[at + 2], numbers[at + 3])
+    quat(
+        numbers[at],
+        numbers[at + 1],
+        numbers[at + 2],
+        numbers[at + 3],
+    )
 }
 
 #[cube]
@@ -67,7 +72,8 @@ pub(super) fn of_window(table: &[u32], window: usize, #[comptime] number: usize)
     table[window * WINDOW + number]
 }
 
-/// The motion of every node of the windows that splats may be present of, one unit a node: quaternion, matrix, shift.
+/// The motion of every node of the windows that splats may be present of, one unit a node:
+/// quaternion, matrix, shift.
 #[cube(launch)]
 pub(super) fn move_nodes(
     poses: &[f32],
@@ -90,7 +96,8 @@ pub(super) fn move_nodes(
             for k in 0usize..4usize {
                 let weight = f32::reinterpret(of_window(table, window, comptime!(WEIGHTS + k)));
                 if weight != 0.0f32 {
-                    let from = (of_window(table, window, comptime!(POSES + k)) + node) as usize * POSE;
+                    let from =
+                        (of_window(table, window, comptime!(POSES + k)) + node) as usize * POSE;
                     x += weight * poses[from];
                     y += weight * poses[from + 1];
                     z += weight * poses[from + 2];
@@ -101,9 +108,21 @@ pub(super) fn move_nodes(
             let share = f32::reinterpret(of_window(table, window, SHARE));
             let q = turned(&quat_at(poses, a), &quat_at(poses, b), share);
             let k = 2.0f32 / (q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
-            let r0 = v3(1.0f32 - k * (q.y * q.y + q.z * q.z), k * (q.x * q.y - q.w * q.z), k * (q.x * q.z + q.w * q.y));
-            let r1 = v3(k * (q.x * q.y + q.w * q.z), 1.0f32 - k * (q.x * q.x + q.z * q.z), k * (q.y * q.z - q.w * q.x));
-            let r2 = v3(k * (q.x * q.z - q.w * q.y), k * (q.y * q.z + q.w * q.x), 1.0f32 - k * (q.x * q.x + q.y * q.y));
+            let r0 = v3(
+                1.0f32 - k * (q.y * q.y + q.z * q.z),
+                k * (q.x * q.y - q.w * q.z),
+                k * (q.x * q.z + q.w * q.y),
+            );
+            let r1 = v3(
+                k * (q.x * q.y + q.w * q.z),
+                1.0f32 - k * (q.x * q.x + q.z * q.z),
+                k * (q.y * q.z - q.w * q.x),
+            );
+            let r2 = v3(
+                k * (q.x * q.z - q.w * q.y),
+                k * (q.y * q.z + q.w * q.x),
+                1.0f32 - k * (q.x * q.x + q.y * q.y),
+            );
             let index = (of_window(table, window, FIRST) + node) as usize;
             let from = v3_at(anchors, index * 3);
             let to = index * MOTION;
@@ -142,7 +161,10 @@ fn turned(a: &Quat, b: &Quat, share: f32) -> Quat {
             along = -along;
         }
     }
-    product(&quat(cos, along * turn.x, along * turn.y, along * turn.z), a)
+    product(
+        &quat(cos, along * turn.x, along * turn.y, along * turn.z),
+        a,
+    )
 }
 
 /// How much of bound splat `j` is there at `t`; 0 where it is left out.
@@ -164,7 +186,10 @@ pub(super) fn presence(bindings: &[u32], table: &[u32], j: usize, n: usize, t: f
 /// 1, or -1 where a node's quaternion lies opposite to that of the first node.
 #[cube]
 pub(super) fn side(motions: &[f32], first: usize, node: usize) -> f32 {
-    let (a, b) = (quat_at(motions, first * MOTION), quat_at(motions, node * MOTION));
+    let (a, b) = (
+        quat_at(motions, first * MOTION),
+        quat_at(motions, node * MOTION),
+    );
     let mut side = 1.0f32;
     if a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z < 0.0f32 {
         side = f32::new(-1.0f32);
@@ -213,7 +238,10 @@ fn ln_1p(x: f32) -> f32 {
 fn one_less_exp(x: f32) -> f32 {
     let mut out = 1.0f32 - (-x).exp();
     if x < 0.1f32 {
-        out = x * (1.0f32 - x * (0.5f32 - x * (1.0f32 / 6.0f32 - x * (1.0f32 / 24.0f32 - x * (1.0f32 / 120.0f32)))));
+        out = x
+            * (1.0f32
+                - x * (0.5f32
+                    - x * (1.0f32 / 6.0f32 - x * (1.0f32 / 24.0f32 - x * (1.0f32 / 120.0f32)))));
     }
     out
 }
@@ -255,8 +283,9 @@ pub(super) fn faded_slope(logit: f32, f: f32) -> f32 {
 /// Logit of the opacity of a splat that is left out.
 const NOWHERE: f32 = -60.0;
 
-/// Carries the bound splats to the instant of the view, one unit a splat: mean, quaternion, logit and constant colour into columns of `posed`. Those
-/// that are left out lie where the camera is, which shows them nowhere.
+/// Carries the bound splats to the instant of the view, one unit a splat: mean, quaternion, logit
+/// and constant colour into columns of `posed`. Those that are left out lie where the camera is,
+/// which shows them nowhere.
 #[cube(launch)]
 pub(super) fn pose(
     geometry: &[f32],
@@ -281,8 +310,15 @@ pub(super) fn pose(
         if present > 0.0f32 {
             let a = carrier(bindings, motions, j, bound);
             let dt = t - time[j];
-            let (mean, velocity) = (v3_in(geometry, 0u32, rows, row), v3_in(time, 2u32, dynamic, j));
-            let (x, y, z) = (mean.x + velocity.x * dt, mean.y + velocity.y * dt, mean.z + velocity.z * dt);
+            let (mean, velocity) = (
+                v3_in(geometry, 0u32, rows, row),
+                v3_in(time, 2u32, dynamic, j),
+            );
+            let (x, y, z) = (
+                mean.x + velocity.x * dt,
+                mean.y + velocity.y * dt,
+                mean.z + velocity.z * dt,
+            );
             posed[j] = a[4] * x + a[5] * y + a[6] * z + a[13];
             posed[bound + j] = a[7] * x + a[8] * y + a[9] * z + a[14];
             posed[2 * bound + j] = a[10] * x + a[11] * y + a[12] * z + a[15];
@@ -299,11 +335,17 @@ pub(super) fn pose(
                 posed[5 * bound + j] = q.y;
                 posed[6 * bound + j] = q.z;
             }
-            let logit = in_column(geometry, comptime!(if isotropic { 4u32 } else { 10u32 }), rows, row);
+            let logit = in_column(
+                geometry,
+                comptime!(if isotropic { 4u32 } else { 10u32 }),
+                rows,
+                row,
+            );
             posed[7 * bound + j] = faded(logit, present);
             #[unroll]
             for k in 0usize..3usize {
-                posed[(8 + k) * bound + j] = colour[k * rows + row] + time[(5 + k) * dynamic + j] * dt;
+                posed[(8 + k) * bound + j] =
+                    colour[k * rows + row] + time[(5 + k) * dynamic + j] * dt;
             }
         } else {
             posed[j] = eye[CENTRE];

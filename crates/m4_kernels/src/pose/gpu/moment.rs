@@ -49,8 +49,15 @@ impl Moment {
         WINDOW * windows.len() + windows.len()
     }
 
-    /// The windows at `t`, frames; `starts` are the first node and the first pose of each. Gradients of the nodes at `known` keys are added to.
-    pub fn new(gpu: &Gpu, windows: &[Window], starts: &[[usize; 2]], t: f32, known: &[(usize, usize)]) -> Self {
+    /// The windows at `t`, frames; `starts` are the first node and the first pose of each.
+    /// Gradients of the nodes at `known` keys are added to.
+    pub fn new(
+        gpu: &Gpu,
+        windows: &[Window],
+        starts: &[[usize; 2]],
+        t: f32,
+        known: &[(usize, usize)],
+    ) -> Self {
         let (mut table, mut active, mut most, mut keys) = (Vec::new(), Vec::new(), 0, Vec::new());
         for (index, (window, &[first, poses])) in windows.iter().zip(starts).enumerate() {
             let nodes = window.anchors().len();
@@ -71,11 +78,33 @@ impl Moment {
             }
             let half = (FADE * window.gap()).to_bits();
             let (share, near, nodes) = (share.to_bits(), u32::from(near), nodes as u32);
-            table.extend([first as u32, nodes, near, a, b, c, d, p, q, r, s, share, half, key_at, add, 0]);
+            table.extend([
+                first as u32,
+                nodes,
+                near,
+                a,
+                b,
+                c,
+                d,
+                p,
+                q,
+                r,
+                s,
+                share,
+                half,
+                key_at,
+                add,
+                0,
+            ]);
         }
         let count = active.len();
         table.extend(active);
-        Self { table: gpu.input(&table), active: count, most, keys }
+        Self {
+            table: gpu.input(&table),
+            active: count,
+            most,
+            keys,
+        }
     }
 }
 
@@ -85,8 +114,8 @@ fn is_near(window: &Window, t: f32) -> bool {
     keys.len() < 2 || (t >= keys[0] - reach && t <= keys[keys.len() - 1] + reach)
 }
 
-/// What [`Window::pose`] makes of the poses at four keys: the keys, their weights in the position, and the share of the turn from the second to
-/// the third.
+/// What [`Window::pose`] makes of the poses at four keys: the keys, their weights in the position,
+/// and the share of the turn from the second to the third.
 fn between(window: &Window, t: f32) -> ([usize; 4], [f32; 4], f32) {
     let keys = window.keys();
     let last = keys.len() - 1;
@@ -103,7 +132,8 @@ fn between(window: &Window, t: f32) -> ([usize; 4], [f32; 4], f32) {
     if (0.0..=1.0).contains(&share) {
         let (s, s2, s3) = (share, share * share, share * share * share);
         weights = [0.0, 2.0 * s3 - 3.0 * s2 + 1.0, 3.0 * s2 - 2.0 * s3, 0.0];
-        // the slope at the second and at the third: of a parabola through three keys, or of a line at the ends
+        // the slope at the second and at the third: of a parabola through three keys, or of a line
+        // at the ends
         for (middle, factor) in [(1, (s3 - 2.0 * s2 + s) * gap), (2, (s3 - s2) * gap)] {
             let mut slope = |from: usize, to: usize, share: f64| {
                 let part = factor * share / (key(to) - key(from));
@@ -132,19 +162,32 @@ mod tests {
     fn weights_are_those_of_the_window() {
         let keys = [0.0f32, 1.0, 3.0, 4.0, 6.5];
         let places = [0.3f32, -1.0, 2.0, 0.7, 5.0];
-        let pose = |&x: &f32| Pose { position: [x, 1.0, -2.0 * x], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let pose = |&x: &f32| Pose {
+            position: [x, 1.0, -2.0 * x],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+        };
         for count in 1..=keys.len() {
             let poses = places[..count].iter().map(pose).collect();
             let window = Window::new(keys[..count].to_vec(), vec![[0.0; 3]], poses).unwrap();
             for t in [-2.0f32, -0.1, 0.0, 0.4, 1.0, 1.9, 3.0, 3.25, 5.0, 6.5, 8.0] {
                 let (at, weights, _) = between(&window, t);
                 let sum = |of: fn(&Pose) -> f32| -> f32 {
-                    at.iter().zip(weights).map(|(&key, w)| w * of(&window.poses(key)[0])).sum()
+                    at.iter()
+                        .zip(weights)
+                        .map(|(&key, w)| w * of(&window.poses(key)[0]))
+                        .sum()
                 };
                 let want = window.pose(0, t).position;
-                let got = [sum(|p| p.position[0]), sum(|p| p.position[1]), sum(|p| p.position[2])];
+                let got = [
+                    sum(|p| p.position[0]),
+                    sum(|p| p.position[1]),
+                    sum(|p| p.position[2]),
+                ];
                 for k in 0..3 {
-                    assert!((got[k] - want[k]).abs() < 2e-5, "{count} keys at {t}: {got:?} for {want:?}");
+                    assert!(
+                        (got[k] - want[k]).abs() < 2e-5,
+                        "{count} keys at {t}: {got:?} for {want:?}"
+                    );
                 }
             }
         }

@@ -5,8 +5,9 @@ use crate::tile_binning::gpu::TILE;
 /// Entries of a bucket, and units of its cube.
 pub(crate) const BUCKET: usize = 32;
 
-/// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
-/// most splats are missing at an instant; the first frame says how many entries it takes, and is drawn again.
+/// Entries of tiles that memory is first made for: this many a splat, and at least as many as
+/// [`LEAST_ENTRIES`]. Of a video most splats are missing at an instant; the first frame says how
+/// many entries it takes, and is drawn again.
 const FIRST_ENTRIES: usize = 1;
 const LEAST_ENTRIES: usize = 1 << 16;
 
@@ -26,7 +27,8 @@ pub struct Size {
 }
 
 impl Size {
-    /// Entries of tile lists that memory is first made for; a trainer and a renderer make more where a frame has more.
+    /// Entries of tile lists that memory is first made for; a trainer and a renderer make more
+    /// where a frame has more.
     pub fn first_entries(splats: usize) -> usize {
         (FIRST_ENTRIES * splats).max(LEAST_ENTRIES)
     }

@@ -9,7 +9,9 @@ use crate::pose::gpu::{self as pose, Moment};
 use crate::project::gpu::eye;
 use crate::splats::DeviceSplats;
 use crate::stage::gpu::{Spec, project, project_backward, sum_large};
-use crate::tile_binning::gpu::{ALLOCATED, LARGE_CUBES, REACH, RECORD, TILE, TOTALS, WANTED, entries, sort, starts};
+use crate::tile_binning::gpu::{
+    ALLOCATED, LARGE_CUBES, REACH, RECORD, TILE, TOTALS, WANTED, entries, sort, starts,
+};
 use crate::{Kernel, View};
 use cubecl::prelude::{CubeCount, CubeDim};
 
@@ -63,12 +65,14 @@ pub struct Work {
     pub touched: Buffer,
     /// The windows at the instant drawn last.
     moment: Option<Moment>,
-    /// Window and key of the nodes whose gradients there are: sums over the frames since it was emptied.
+    /// Window and key of the nodes whose gradients there are: sums over the frames since it was
+    /// emptied.
     pub node_keys: Vec<(usize, usize)>,
 }
 
 impl Work {
-    /// Buffers for frames of `size`. Fails with [`GpuError`] if a buffer is larger than the device allows.
+    /// Buffers for frames of `size`. Fails with [`GpuError`] if a buffer is larger than the device
+    /// allows.
     pub fn new(gpu: &Gpu, size: Size) -> Result<Self, GpuError> {
         let client = &gpu.client;
         let (n, tiles, pixels, entries) = (size.n, size.tiles(), size.pixels(), size.entries);
@@ -128,23 +132,40 @@ impl Work {
         })
     }
 
-    /// Becomes memory for frames of `size`. What was there is given up first: both at once would be twice as much.
-    /// After an error there is room for nothing. Fails with [`GpuError`] if a buffer is larger than the device allows.
+    /// Becomes memory for frames of `size`. What was there is given up first: both at once would be
+    /// twice as much. After an error there is room for nothing. Fails with [`GpuError`] if a buffer
+    /// is larger than the device allows.
     pub fn remake(&mut self, gpu: &Gpu, size: Size) -> Result<(), GpuError> {
-        let nothing = Size { n: 0, width: 1, height: 1, entries: 1, training: false };
+        let nothing = Size {
+            n: 0,
+            width: 1,
+            height: 1,
+            entries: 1,
+            training: false,
+        };
         *self = Self::new(gpu, nothing)?;
         *self = Self::new(gpu, size)?;
         Ok(())
     }
 
-    /// Draws `splats`, of which there are as many as the memory is for, into [`image`](Self::image).
+    /// Draws `splats`, of which there are as many as the memory is for, into
+    /// [`image`](Self::image).
     pub fn draw(&mut self, gpu: &Gpu, splats: &DeviceSplats, view: &View) {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
         let (tiles, width, height) = (size.tiles(), size.width as u32, size.height as u32);
         self.eye = gpu.input_floats(&eye(view));
         let bound = splats.bound.as_ref();
-        self.moment = bound.map(|bound| pose::pose(bound, gpu, splats, &self.eye, view.t as f32, &self.node_keys));
+        self.moment = bound.map(|bound| {
+            pose::pose(
+                bound,
+                gpu,
+                splats,
+                &self.eye,
+                view.t as f32,
+                &self.node_keys,
+            )
+        });
         launch!(
             client,
             project::launch,
@@ -200,12 +221,24 @@ impl Work {
         let (client, size) = (&gpu.client, self.size);
         let (n, tiles, capacity) = (size.n, size.tiles() as u32, size.entries as u32);
         // a power of two
-        let most = if gpu.adapter().max_units >= 1024 { 1024 } else { 256 };
+        let most = if gpu.adapter().max_units >= 1024 {
+            1024
+        } else {
+            256
+        };
         launch!(
             client,
             starts::tile_starts::launch,
             (cubes(1, 1), CubeDim::new_1d(most)),
-            [self.changes, self.allocated, self.ranges, self.cursors, self.bucket_offsets, self.totals, self.peak],
+            [
+                self.changes,
+                self.allocated,
+                self.ranges,
+                self.cursors,
+                self.bucket_offsets,
+                self.totals,
+                self.peak
+            ],
             [tiles, capacity, most]
         );
         launch!(
@@ -269,9 +302,10 @@ impl Work {
     }
 
     /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
-    /// [`gradient`](Self::gradient); of the frame drawn last. That of nodes stays where they are, [`node_keys`](Self::node_keys) says
-    /// of which. Into `camera` that with respect to the camera, ten sums for each cube of 256 splats; into `centres` those with
-    /// respect to the projected centres, pixels to a side: `[2][n]`.
+    /// [`gradient`](Self::gradient); of the frame drawn last. That of nodes stays where they are,
+    /// [`node_keys`](Self::node_keys) says of which. Into `camera` that with respect to the camera,
+    /// ten sums for each cube of 256 splats; into `centres` those with respect to the projected
+    /// centres, pixels to a side: `[2][n]`.
     pub fn backward(
         &mut self,
         gpu: &Gpu,
@@ -314,10 +348,17 @@ impl Work {
             client,
             sum_large::launch,
             (cubes(LARGE_CUBES, 1), units()),
-            [self.counts, self.offsets, self.large, self.totals, self.sums]
+            [
+                self.counts,
+                self.offsets,
+                self.large,
+                self.totals,
+                self.sums
+            ]
         );
         // any other memory where nothing is written
-        let (camera_sums, centre_gradients) = (camera.unwrap_or(&self.peak), centres.unwrap_or(&self.image));
+        let (camera_sums, centre_gradients) =
+            (camera.unwrap_or(&self.peak), centres.unwrap_or(&self.image));
         launch!(
             client,
             project_backward::launch,
@@ -370,7 +411,10 @@ impl Work {
 
     /// Cubes of a bucket each, as many as there may be.
     pub(crate) fn cubes_of_buckets(&self) -> (CubeCount, CubeDim) {
-        (cubes(self.size.buckets(), 1), CubeDim::new_1d(BUCKET as u32))
+        (
+            cubes(self.size.buckets(), 1),
+            CubeDim::new_1d(BUCKET as u32),
+        )
     }
 
     /// The largest number of entries that a frame wanted since this memory was made.

@@ -14,9 +14,11 @@ use cubecl::prelude::*;
 /// The smallest normal number.
 const SMALLEST: f32 = f32::MIN_POSITIVE;
 
-/// Adds up each splat's sums in the order of its slots and turns them into gradients of its parameters; rows of splats
-/// that are not in the frame keep what they hold, `touched` says which are. Of bound splats it is the gradient of what is drawn. Into `camera` the sums of each cube of 256
-/// splats for the camera's own gradient, and into `centres` the gradients of the projected centres, `[2][n]`, where they are wanted.
+/// Adds up each splat's sums in the order of its slots and turns them into gradients of its
+/// parameters; rows of splats that are not in the frame keep what they hold, `touched` says which
+/// are. Of bound splats it is the gradient of what is drawn. Into `camera` the sums of each cube of
+/// 256 splats for the camera's own gradient, and into `centres` the gradients of the projected
+/// centres, `[2][n]`, where they are wanted.
 #[cube(launch)]
 pub(crate) fn project_backward(
     geometry: &[f32],
@@ -66,7 +68,9 @@ pub(crate) fn project_backward(
                 seen = 1u32;
             }
             let carried = carried(i, n_static, n_still);
-            let life = life(geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], spec.bound);
+            let life = life(
+                geometry, time, posed, &carried, i, n, n_static, n_still, eye[TIME], spec.bound,
+            );
             let offset = offset_of(eye, &life.mean);
             let shape = drawn_shape(geometry, posed, &carried, i, n, spec.isotropic, spec.bound);
             let e = ellipse(eye, &offset, &shape, spec.mip);
@@ -97,14 +101,23 @@ pub(crate) fn project_backward(
             let dg = add_scaled(&scaled(&e.f, 2.0f32 * g01), 2.0f32 * g11, &e.g);
             let log_scale = add_scaled(&times(&df, &e.f), 1.0f32, &times(&dg, &e.g));
             let (sf, sg) = (times(&df, &shape.scale), times(&dg, &shape.scale));
-            let da = v3(dot(&sf, &shape.r0), dot(&sf, &shape.r1), dot(&sf, &shape.r2));
-            let db = v3(dot(&sg, &shape.r0), dot(&sg, &shape.r1), dot(&sg, &shape.r2));
+            let da = v3(
+                dot(&sf, &shape.r0),
+                dot(&sf, &shape.r1),
+                dot(&sf, &shape.r2),
+            );
+            let db = v3(
+                dot(&sg, &shape.r0),
+                dot(&sg, &shape.r1),
+                dot(&sg, &shape.r2),
+            );
             let (w0, w1, w2) = (row(eye, 0usize), row(eye, 1usize), row(eye, 2usize));
             let iz = 1.0f32 / e.point.z;
             let (jx, jy) = (eye[FOCAL] * iz, eye[FOCAL + 1] * iz);
             let mut dx = cu * jx;
             let mut dy = cv * jy;
-            let mut dz = -(cu * jx * e.ray_x + cv * jy * e.ray_y) - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
+            let mut dz = -(cu * jx * e.ray_x + cv * jy * e.ray_y)
+                - (dot(&da, &w0) * jx + dot(&db, &w1) * jy) * iz;
             let d = dot(&da, &w2) * jx * iz;
             if e.slope_x == e.ray_x {
                 dx -= d;
@@ -152,7 +165,11 @@ pub(crate) fn project_backward(
                 share[8] = cu;
                 share[9] = cv;
             }
-            let mean = add_scaled(&transposed(&w0, &w1, &w2, &v3(dx, dy, dz)), 1.0f32, &seen_from.offset);
+            let mean = add_scaled(
+                &transposed(&w0, &w1, &w2, &v3(dx, dy, dz)),
+                1.0f32,
+                &seen_from.offset,
+            );
             d_geometry[at] = mean.x;
             d_geometry[rows + at] = mean.y;
             d_geometry[2 * rows + at] = mean.z;
@@ -174,8 +191,13 @@ pub(crate) fn project_backward(
             if i >= n_still {
                 let j = (i - n_static) as usize;
                 let dynamic = (n - n_static) as usize;
-                let velocity = v3(time[2 * dynamic + j], time[3 * dynamic + j], time[4 * dynamic + j]);
-                d_time[j] = seen_from.time_mean + weight * life.dt * life.inverse_variance - dot(&mean, &velocity);
+                let velocity = v3(
+                    time[2 * dynamic + j],
+                    time[3 * dynamic + j],
+                    time[4 * dynamic + j],
+                );
+                d_time[j] = seen_from.time_mean + weight * life.dt * life.inverse_variance
+                    - dot(&mean, &velocity);
                 d_time[dynamic + j] = weight * life.dt * life.dt * life.inverse_variance;
                 d_time[2 * dynamic + j] = mean.x * life.dt;
                 d_time[3 * dynamic + j] = mean.y * life.dt;
@@ -213,10 +235,16 @@ fn sum_of_slots(first: u32, count: u32, sums: &[f32]) -> Array<f32> {
     out
 }
 
-/// Adds up the slots of each large splat, in an order that is the same every time, and leaves the sums in its first slot. A cube
-/// takes one after the other.
+/// Adds up the slots of each large splat, in an order that is the same every time, and leaves the
+/// sums in its first slot. A cube takes one after the other.
 #[cube(launch)]
-pub(crate) fn sum_large(counts: &[u32], offsets: &[u32], large: &[u32], totals: &[u32], sums: &mut [f32]) {
+pub(crate) fn sum_large(
+    counts: &[u32],
+    offsets: &[u32],
+    large: &[u32],
+    totals: &[u32],
+    sums: &mut [f32],
+) {
     let mut shares = Shared::<[f32]>::new_slice(256usize * SUMS);
     let mut parts = Shared::<[f32]>::new_slice(252usize);
     let number = totals[LARGE];

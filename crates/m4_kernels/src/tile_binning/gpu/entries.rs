@@ -5,8 +5,9 @@ use crate::gpu::scan::scan_cube;
 use crate::gpu::vector::SIZE;
 use cubecl::prelude::*;
 
-/// One entry for every tile that a splat reaches which is not large, anywhere in the tile's list; `counts` become the numbers that were
-/// made. The units of a cube share the entries of its 256 splats.
+/// One entry for every tile that a splat reaches which is not large, anywhere in the tile's list;
+/// `counts` become the numbers that were made. The units of a cube share the entries of its 256
+/// splats.
 #[cube(launch)]
 pub(crate) fn emit(
     counts: &mut [u32],
@@ -56,7 +57,9 @@ pub(crate) fn emit(
         let (tile, made) = nth_tile(&reach, nth, across);
         if tile != NO_TILE {
             let slot = offsets[splat as usize] + nth;
-            write_entry(tile, splat, slot, depths, ranges, cursors, keys, slots, splats);
+            write_entry(
+                tile, splat, slot, depths, ranges, cursors, keys, slots, splats,
+            );
         }
         // the first that was counted and is not there
         if tile == NO_TILE && nth == made {
@@ -66,7 +69,8 @@ pub(crate) fn emit(
     }
 }
 
-/// As `emit`, for large splats: a cube takes one after the other, a unit a row of tiles at first and then tiles.
+/// As `emit`, for large splats: a cube takes one after the other, a unit a row of tiles at first
+/// and then tiles.
 #[cube(launch)]
 pub(crate) fn emit_large(
     counts: &mut [u32],
@@ -122,7 +126,17 @@ pub(crate) fn emit_large(
             while t < tiles.min(count - made) {
                 let row = last_from(&starts, t) as usize;
                 let tile = firsts[row] + t - starts[row];
-                write_entry(tile, splat, slot + made + t, depths, ranges, cursors, keys, slots, splats);
+                write_entry(
+                    tile,
+                    splat,
+                    slot + made + t,
+                    depths,
+                    ranges,
+                    cursors,
+                    keys,
+                    slots,
+                    splats,
+                );
                 t += 256u32;
             }
             made += tiles.min(count - made);
@@ -190,8 +204,8 @@ fn reach_of(reaches: &[f32], splat: u32, eye: &[f32]) -> Reach {
 /// In place of a tile.
 const NO_TILE: u32 = 0xffff_ffff;
 
-/// The tile of number `nth`, row by row, that an ellipse reaches, and how many there are up to its row. [`NO_TILE`], and how many there
-/// are at all, if there are not that many.
+/// The tile of number `nth`, row by row, that an ellipse reaches, and how many there are up to its
+/// row. [`NO_TILE`], and how many there are at all, if there are not that many.
 #[cube]
 fn nth_tile(reach: &Reach, nth: u32, across: u32) -> (u32, u32) {
     let mut tile = NO_TILE.runtime();

@@ -1,5 +1,6 @@
-//! Sorts the list of each tile near to far, splats of one depth by their rows: one cube per tile. Lists of up to 1,024
-//! entries are sorted in shared memory; longer ones in pieces of as many, which are merged.
+//! Sorts the list of each tile near to far, splats of one depth by their rows: one cube per tile.
+//! Lists of up to 1,024 entries are sorted in shared memory; longer ones in pieces of as many,
+//! which are merged.
 
 use super::buckets_of;
 use cubecl::prelude::*;
@@ -11,8 +12,9 @@ pub(crate) const UNITS: u32 = 128;
 /// In place of a slot after the end of a list.
 const NO_SLOT: u32 = 0xffff_ffff;
 
-/// Sorts each tile's entries and writes, in their order, the slot and the splat of each. `ranges` get the ends of the lists, which
-/// can be shorter than counted; `tile_of` gets the tile of each bucket.
+/// Sorts each tile's entries and writes, in their order, the slot and the splat of each. `ranges`
+/// get the ends of the lists, which can be shorter than counted; `tile_of` gets the tile of each
+/// bucket.
 #[cube(launch)]
 pub(crate) fn sort_lists(
     ranges: &mut [u32],
@@ -92,9 +94,27 @@ pub(crate) fn sort_lists(
         let mut pass = 0u32;
         while width < count {
             if (passes - pass) % 2u32 == 0u32 {
-                merge(sorted_keys, sorted_slots, keys, slots, splat_of_slot, start, count, width);
+                merge(
+                    sorted_keys,
+                    sorted_slots,
+                    keys,
+                    slots,
+                    splat_of_slot,
+                    start,
+                    count,
+                    width,
+                );
             } else {
-                merge(keys, slots, sorted_keys, sorted_slots, splat_of_slot, start, count, width);
+                merge(
+                    keys,
+                    slots,
+                    sorted_keys,
+                    sorted_slots,
+                    splat_of_slot,
+                    start,
+                    count,
+                    width,
+                );
             }
             sync_storage();
             width *= 2u32;
@@ -128,7 +148,12 @@ fn is_before(key_a: u32, slot_a: u32, key_b: u32, slot_b: u32, splat_of_slot: &[
 
 /// A bitonic sort of the first `size` entries, a power of two.
 #[cube]
-fn sort_piece(keys: &mut Shared<[u32]>, slots: &mut Shared<[u32]>, splat_of_slot: &[u32], size: u32) {
+fn sort_piece(
+    keys: &mut Shared<[u32]>,
+    slots: &mut Shared<[u32]>,
+    splat_of_slot: &[u32],
+    size: u32,
+) {
     let mut run = 2u32;
     while run <= size {
         let mut step = run / 2u32;
@@ -157,7 +182,8 @@ fn sort_piece(keys: &mut Shared<[u32]>, slots: &mut Shared<[u32]>, splat_of_slot
     }
 }
 
-/// Merges neighbouring runs of `width` entries: each entry moves up by as many as come before it in the other run.
+/// Merges neighbouring runs of `width` entries: each entry moves up by as many as come before it in
+/// the other run.
 #[cube]
 fn merge(
     keys: &mut [u32],
@@ -234,12 +260,24 @@ mod tests {
         let words = |values: &[usize]| -> Vec<u32> { values.iter().map(|&v| v as u32).collect() };
         // seven depths only, so that most entries have one in common with others
         let keys: Vec<u32> = (0..start).map(|_| (rng.uniform() * 7.0) as u32).collect();
-        let slots: Vec<u32> = rng.sample(start, start).into_iter().map(|slot| slot as u32).collect();
-        let splat_of_slot: Vec<u32> = rng.sample(start, start).into_iter().map(|splat| splat as u32).collect();
+        let slots: Vec<u32> = rng
+            .sample(start, start)
+            .into_iter()
+            .map(|slot| slot as u32)
+            .collect();
+        let splat_of_slot: Vec<u32> = rng
+            .sample(start, start)
+            .into_iter()
+            .map(|splat| splat as u32)
+            .collect();
         let buffer = |values: &[u32]| Buffer::words(client, values);
         let empty = |len| Buffer::empty(client, len);
-        let [range_buffer, sorted, splats, tile_of] =
-            [buffer(&words(&ranges)), empty(start), empty(start), empty(bucket)];
+        let [range_buffer, sorted, splats, tile_of] = [
+            buffer(&words(&ranges)),
+            empty(start),
+            empty(start),
+            empty(bucket),
+        ];
         launch!(
             client,
             sort_lists::launch,
@@ -259,19 +297,40 @@ mod tests {
             [LENGTHS.len() as u32]
         );
         let read = |buffer: &Buffer| buffer.read_words(client, "sorting").unwrap();
-        let (ends, sorted, splats, tile_of) = (read(&range_buffer), read(&sorted), read(&splats), read(&tile_of));
+        let (ends, sorted, splats, tile_of) = (
+            read(&range_buffer),
+            read(&sorted),
+            read(&splats),
+            read(&tile_of),
+        );
         for (tile, length) in LENGTHS.into_iter().enumerate() {
             let here = ranges[2 * tile]..ranges[2 * tile] + length;
             assert_eq!(ends[2 * tile + 1] as usize, here.end, "tile {tile}");
             let mut want: Vec<u32> = slots[here.clone()].to_vec();
-            let key_of: std::collections::HashMap<u32, u32> =
-                here.clone().map(|entry| (slots[entry], keys[entry])).collect();
+            let key_of: std::collections::HashMap<u32, u32> = here
+                .clone()
+                .map(|entry| (slots[entry], keys[entry]))
+                .collect();
             want.sort_by_key(|slot| (key_of[slot], splat_of_slot[*slot as usize]));
-            assert!(sorted[here.clone()] == want, "slots of tile {tile}, {length} entries");
-            let want: Vec<u32> = want.iter().map(|&slot| splat_of_slot[slot as usize]).collect();
-            assert!(splats[here] == want, "splats of tile {tile}, {length} entries");
+            assert!(
+                sorted[here.clone()] == want,
+                "slots of tile {tile}, {length} entries"
+            );
+            let want: Vec<u32> = want
+                .iter()
+                .map(|&slot| splat_of_slot[slot as usize])
+                .collect();
+            assert!(
+                splats[here] == want,
+                "splats of tile {tile}, {length} entries"
+            );
             let end = buckets.get(tile + 1).map_or(bucket, |&next| next);
-            assert!(tile_of[buckets[tile]..end].iter().all(|&of| of as usize == tile), "buckets of tile {tile}");
+            assert!(
+                tile_of[buckets[tile]..end]
+                    .iter()
+                    .all(|&of| of as usize == tile),
+                "buckets of tile {tile}"
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Where the list of each tile starts, from the changes of the numbers of entries from tile to tile.
+//! Where the list of each tile starts, from the changes of the numbers of entries from tile to
+//! tile.
 
 use super::{BUCKETS, LARGE, LARGE_SPLATS, SLOTS, WANTED, buckets_of};
 use crate::gpu::scan::scan_units;
@@ -7,9 +8,10 @@ use cubecl::prelude::*;
 /// Tiles of a unit in a round.
 const RUN: u32 = 4;
 
-/// Gives the lists of all tiles their places, in one cube of `units`, and sets the changes of their counts back to 0 for the next
-/// frame: the number of entries of a tile is the sum of the changes up to it. A frame that wants more entries than there is room for
-/// gets none. `peak` keeps the largest number that a frame wanted.
+/// Gives the lists of all tiles their places, in one cube of `units`, and sets the changes of their
+/// counts back to 0 for the next frame: the number of entries of a tile is the sum of the changes
+/// up to it. A frame that wants more entries than there is room for gets none. `peak` keeps the
+/// largest number that a frame wanted.
 #[cube(launch)]
 pub(crate) fn tile_starts(
     changes: &mut [u32],

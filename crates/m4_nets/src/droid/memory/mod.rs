@@ -5,8 +5,9 @@
 //! motion_px: one update from a frame's state      revise_source: one update of all edges of a frame
 //! ```
 //!
-//! Features, first states and hidden states lie in a store within a budget of memory; what it has no room for lies in a
-//! nameless file. Numbers are rounded whenever they enter the store, so that no answer depends on the budget.
+//! Features, first states and hidden states lie in a store within a budget of memory; what it has
+//! no room for lies in a nameless file. Numbers are rounded whenever they enter the store, so that
+//! no answer depends on the budget.
 
 mod revise;
 mod store;
@@ -60,7 +61,8 @@ struct Edge {
     target: usize,
 }
 
-/// The network's memory of one clip. Frames are numbers in the clip, edges have identities of the caller's choice.
+/// The network's memory of one clip. Frames are numbers in the clip, edges have identities of the
+/// caller's choice.
 pub struct DroidMemory<'a> {
     net: Arc<DroidNet>,
     store: Store<Key>,
@@ -80,8 +82,8 @@ impl fmt::Debug for DroidMemory<'_> {
 }
 
 impl<'a> DroidMemory<'a> {
-    /// An empty memory. `images` is asked for a frame whose features or first state are needed; all have one size, whose sides are
-    /// multiples of 8 and at least 128 pixels.
+    /// An empty memory. `images` is asked for a frame whose features or first state are needed; all
+    /// have one size, whose sides are multiples of 8 and at least 128 pixels.
     #[must_use]
     pub fn new(net: Arc<DroidNet>, options: MemoryOptions, images: ImageReader<'a>) -> Self {
         Self {
@@ -98,7 +100,8 @@ impl<'a> DroidMemory<'a> {
         self.size.map_or((0, 0), |(w, h)| (w / 8, h / 8))
     }
 
-    /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts again.
+    /// Starts an edge: where the pixels of `source` are in `target`. One that is there already
+    /// starts again.
     pub fn enter(&mut self, edge_id: u64, source: usize, target: usize) {
         self.store.remove(Key::Hidden(edge_id));
         self.edges.insert(edge_id, Edge { source, target });
@@ -110,7 +113,8 @@ impl<'a> DroidMemory<'a> {
         self.edges.remove(&edge_id);
     }
 
-    /// Mean length of what one update from the first state of `from`, at rest, says of the motion to `to`: pixels of the grid.
+    /// Mean length of what one update from the first state of `from`, at rest, says of the motion
+    /// to `to`: pixels of the grid.
     ///
     /// # Errors
     ///
@@ -119,14 +123,19 @@ impl<'a> DroidMemory<'a> {
         let [hidden, context] = self.first_state(from)?;
         let source = FeatureMap::new(self.features(from)?);
         let (w, h) = self.grid();
-        let grid = (0..w * h).flat_map(|i| [(i % w) as f32, (i / w) as f32]).collect();
+        let grid = (0..w * h)
+            .flat_map(|i| [(i % w) as f32, (i / w) as f32])
+            .collect();
         let corr = self.correlation(&source, to, grid)?;
         let update = &self.net.net.update;
         let context = self.net.gru.context(context);
         let hidden = update.advance(&self.net.gru, hidden, context, corr, None);
         let delta = read(update.delta(hidden))?;
         let (u, v) = delta.split_at(w * h);
-        let lengths = u.iter().zip(v).map(|(u, v)| f64::from(*u).hypot(f64::from(*v)));
+        let lengths = u
+            .iter()
+            .zip(v)
+            .map(|(u, v)| f64::from(*u).hypot(f64::from(*v)));
         Ok(lengths.sum::<f64>() / (w * h).max(1) as f64)
     }
 
@@ -156,7 +165,12 @@ impl<'a> DroidMemory<'a> {
     }
 
     /// Scores `[1, 196, h, w]` of `source` in `target` around `centres` `[h][w][2]`.
-    fn correlation(&mut self, source: &FeatureMap, target: usize, centres: Vec<f32>) -> Result<Tensor<4>, NetError> {
+    fn correlation(
+        &mut self,
+        source: &FeatureMap,
+        target: usize,
+        centres: Vec<f32>,
+    ) -> Result<Tensor<4>, NetError> {
         let target = Pyramid::new(self.features(target)?, LEVELS);
         let (w, h) = self.grid();
         let centres = tensor(centres, [h, w, 2], &self.net.device).cast(DType::F32);
@@ -185,7 +199,9 @@ impl<'a> DroidMemory<'a> {
 
     fn keep<const D: usize>(&mut self, key: Key, values: Tensor<D>) -> Result<(), NetError> {
         let values = read(values)?;
-        self.store.put(key, &values).map_err(|e| self.scratch_failed(e))
+        self.store
+            .put(key, &values)
+            .map_err(|e| self.scratch_failed(e))
     }
 
     fn kept(&mut self, key: Key) -> Result<Vec<f32>, NetError> {

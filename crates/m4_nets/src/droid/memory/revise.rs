@@ -8,7 +8,8 @@ use crate::ops::tensor;
 use burn_core::tensor::{Device, Tensor};
 use std::collections::HashSet;
 
-/// Edges whose maps are in memory at a time: on the processor, where more are not faster, and elsewhere.
+/// Edges whose maps are in memory at a time: on the processor, where more are not faster, and
+/// elsewhere.
 const AT_ONCE: [usize; 2] = [4, 16];
 /// Motion beyond this many pixels looks the same.
 const FAR_PX: f32 = 64.0;
@@ -18,9 +19,11 @@ const FAR_PX: f32 = 64.0;
 pub struct EdgeUpdate<'a> {
     /// Which edge.
     pub id: u64,
-    /// Where the present geometry sees the pixels of the source in the target. One that is no number is seen nowhere.
+    /// Where the present geometry sees the pixels of the source in the target. One that is no
+    /// number is seen nowhere.
     pub projected_px: [&'a [f32]; 2],
-    /// On entry the previous answer (for a new edge the projection when it entered), on return the measured position.
+    /// On entry the previous answer (for a new edge the projection when it entered), on return the
+    /// measured position.
     pub target_px: &'a mut [Vec<f32>; 2],
     /// Written: confidence of each component, in 0..1. Not yet multiplied by the static confidence.
     pub weight: &'a mut [Vec<f32>; 2],
@@ -29,16 +32,22 @@ pub struct EdgeUpdate<'a> {
 }
 
 impl DroidMemory<'_> {
-    /// One update of `edges`: the damping of the disparities of `source`, `[h * w]`, above 0. They are all that start at `source` and take part in this step: damping and static confidence
+    /// One update of `edges`: the damping of the disparities of `source`, `[h * w]`, above 0. They
+    /// are all that start at `source` and take part in this step: damping and static confidence
     /// come from means over them.
     ///
     /// Holds maps of some edges at a time, and one map of each edge.
     ///
     /// # Errors
     ///
-    /// [`NetError`] if an edge is not known, starts elsewhere or is there twice, if there is none, if a plane has another size,
-    /// if an image cannot be had, or if file or device fail. Answers of some edges may be written by then.
-    pub fn revise_source(&mut self, source: usize, edges: &mut [EdgeUpdate<'_>]) -> Result<Vec<f32>, NetError> {
+    /// [`NetError`] if an edge is not known, starts elsewhere or is there twice, if there is none,
+    /// if a plane has another size, if an image cannot be had, or if file or device fail. Answers
+    /// of some edges may be written by then.
+    pub fn revise_source(
+        &mut self,
+        source: usize,
+        edges: &mut [EdgeUpdate<'_>],
+    ) -> Result<Vec<f32>, NetError> {
         let known = self.check(source, edges)?;
         let [first, context] = self.first_state(source)?;
         let features = FeatureMap::new(self.features(source)?);
@@ -55,14 +64,24 @@ impl DroidMemory<'_> {
             for (edge, known) in edges.iter().zip(known) {
                 let key = Key::Hidden(edge.id);
                 let started = self.store.contains(key);
-                hidden.push(if started { self.map(key)? } else { first.clone() });
+                hidden.push(if started {
+                    self.map(key)?
+                } else {
+                    first.clone()
+                });
                 let [u, v] = edge.projected_px;
                 let centres = u.iter().zip(v).flat_map(|(&u, &v)| [u, v]).collect();
                 corr.push(self.correlation(&features, known.target, centres)?);
             }
             let hidden = Tensor::cat(hidden, 0);
             let motion = self.motion(edges);
-            let hidden = update.advance(&net.gru, hidden, context.clone(), Tensor::cat(corr, 0), Some(motion));
+            let hidden = update.advance(
+                &net.gru,
+                hidden,
+                context.clone(),
+                Tensor::cat(corr, 0),
+                Some(motion),
+            );
             let weight = update.weight(hidden.clone());
             let delta = read(update.delta(hidden.clone()))?;
             write(edges, &delta, &read(weight.clone())?);
@@ -96,7 +115,10 @@ impl DroidMemory<'_> {
     fn check(&self, source: usize, edges: &[EdgeUpdate<'_>]) -> Result<Vec<Edge>, NetError> {
         let mut seen = HashSet::new();
         let known = |edge: &EdgeUpdate<'_>| match self.edges.get(&edge.id) {
-            None => refuse(format!("edge {} is not known to the tracking network; let it enter first", edge.id)),
+            None => refuse(format!(
+                "edge {} is not known to the tracking network; let it enter first",
+                edge.id
+            )),
             Some(known) if known.source != source || !seen.insert(edge.id) => refuse(format!(
                 "edge {} does not belong here: it starts at frame {}, and each edge of a source is revised once a time",
                 edge.id, known.source
@@ -122,11 +144,18 @@ impl DroidMemory<'_> {
         Ok(())
     }
 
-    /// What the update sees of motion: from each pixel to its projection, and on to the previous answer; `[n, 4, h, w]`.
+    /// What the update sees of motion: from each pixel to its projection, and on to the previous
+    /// answer; `[n, 4, h, w]`.
     fn motion(&self, edges: &[EdgeUpdate<'_>]) -> Tensor<4> {
         let (w, h) = self.grid();
         let mut values = Vec::with_capacity(edges.len() * 4 * w * h);
-        let near = |x: f32| if x.is_nan() { 0.0 } else { x.clamp(-FAR_PX, FAR_PX) };
+        let near = |x: f32| {
+            if x.is_nan() {
+                0.0
+            } else {
+                x.clamp(-FAR_PX, FAR_PX)
+            }
+        };
         for edge in edges {
             let [u, v] = edge.projected_px;
             values.extend(u.iter().zip(0..).map(|(u, i)| near(u - (i % w) as f32)));

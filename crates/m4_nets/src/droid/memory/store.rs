@@ -1,4 +1,5 @@
-//! Planes of numbers, all of one size, within a budget of memory: those that it has no room for lie in a file.
+//! Planes of numbers, all of one size, within a budget of memory: those that it has no room for lie
+//! in a file.
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -32,17 +33,28 @@ impl Storage {
 
     fn decode(self, bytes: &[u8]) -> Vec<f32> {
         match self {
-            Self::F32 => bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect(),
+            Self::F32 => bytes
+                .as_chunks()
+                .0
+                .iter()
+                .map(|&b| f32::from_le_bytes(b))
+                .collect(),
             Self::F16 => {
-                let halves: Vec<f16> = bytes.as_chunks().0.iter().map(|&b| f16::from_le_bytes(b)).collect();
+                let halves: Vec<f16> = bytes
+                    .as_chunks()
+                    .0
+                    .iter()
+                    .map(|&b| f16::from_le_bytes(b))
+                    .collect();
                 halves.to_f32_vec()
             }
         }
     }
 }
 
-/// Planes by key, each in a slot: the first slots are in memory, as many as the budget has room for, the others in the file.
-/// Numbers are rounded to [`Storage`] whenever they are put in, so what comes out does not depend on where they were.
+/// Planes by key, each in a slot: the first slots are in memory, as many as the budget has room
+/// for, the others in the file. Numbers are rounded to [`Storage`] whenever they are put in, so
+/// what comes out does not depend on where they were.
 #[derive(Debug)]
 pub struct Store<K> {
     storage: Storage,
@@ -58,7 +70,8 @@ pub struct Store<K> {
 }
 
 impl<K: Copy + Eq + Hash> Store<K> {
-    /// Holds at most `budget` bytes in memory, the rest in a nameless file in `folder` (made when it is needed).
+    /// Holds at most `budget` bytes in memory, the rest in a nameless file in `folder` (made when
+    /// it is needed).
     pub fn new(budget: usize, storage: Storage, folder: PathBuf) -> Self {
         Self {
             storage,
@@ -94,7 +107,11 @@ impl<K: Copy + Eq + Hash> Store<K> {
     /// Keeps `values`, as many as in every other plane, under `key`, instead of what was there.
     pub fn put(&mut self, key: K, values: &[f32]) -> io::Result<()> {
         let bytes = self.storage.encode(values);
-        assert_eq!(*self.plane.get_or_insert(bytes.len()), bytes.len(), "planes of one size");
+        assert_eq!(
+            *self.plane.get_or_insert(bytes.len()),
+            bytes.len(),
+            "planes of one size"
+        );
         let known = self.slots.get(&key).or_else(|| self.free.first());
         let slot = known.copied().unwrap_or(self.slots.len());
         if slot < self.room() {

@@ -7,13 +7,22 @@ use crate::fixture::{Fixture, assert_close as agree};
 use m4_testkit::formula;
 
 fn options(budget_bytes: usize, storage: Storage) -> MemoryOptions {
-    MemoryOptions { budget_bytes, storage, scratch: std::env::temp_dir() }
+    MemoryOptions {
+        budget_bytes,
+        storage,
+        scratch: std::env::temp_dir(),
+    }
 }
 
 /// A memory of the images of the fixture, which are added when they are needed.
 fn memory(options: MemoryOptions) -> DroidMemory<'static> {
     let images = images();
-    let images = move |frame: usize| images.get(frame).cloned().ok_or_else(|| "no such frame".into());
+    let images = move |frame: usize| {
+        images
+            .get(frame)
+            .cloned()
+            .ok_or_else(|| "no such frame".into())
+    };
     DroidMemory::new(Arc::new(network()), options, Box::new(images))
 }
 
@@ -29,12 +38,24 @@ const N: usize = 16 * 24;
 
 /// Half a pixel from where pixels are.
 fn start() -> Planes {
-    let projected =
-        [(0..N).map(|i| (i % 24) as f32 + 0.5).collect::<Vec<_>>(), (0..N).map(|i| (i / 24) as f32 + 0.5).collect()];
-    Planes { target: projected.clone(), projected, weight: [vec![], vec![]], still: vec![] }
+    let projected = [
+        (0..N).map(|i| (i % 24) as f32 + 0.5).collect::<Vec<_>>(),
+        (0..N).map(|i| (i / 24) as f32 + 0.5).collect(),
+    ];
+    Planes {
+        target: projected.clone(),
+        projected,
+        weight: [vec![], vec![]],
+        still: vec![],
+    }
 }
 
-fn revise(memory: &mut DroidMemory<'_>, source: usize, ids: &[usize], planes: &mut [Planes]) -> Vec<f32> {
+fn revise(
+    memory: &mut DroidMemory<'_>,
+    source: usize,
+    ids: &[usize],
+    planes: &mut [Planes],
+) -> Vec<f32> {
     let mut edges: Vec<EdgeUpdate<'_>> = (0..)
         .zip(planes)
         .filter(|(id, _)| ids.contains(id))
@@ -49,7 +70,8 @@ fn revise(memory: &mut DroidMemory<'_>, source: usize, ids: &[usize], planes: &m
     memory.revise_source(source, &mut edges).unwrap()
 }
 
-/// Three steps of the published loop: all that it gives, checked against `limit` where there is one.
+/// Three steps of the published loop: all that it gives, checked against `limit` where there is
+/// one.
 fn run(memory: &mut DroidMemory<'_>, limit: Option<f64>) -> (Vec<Planes>, Vec<f32>) {
     let file = Fixture::open("droid/update_loop.safetensors");
     let (ii, jj) = (file.indices("ii"), file.indices("jj"));
@@ -66,14 +88,26 @@ fn run(memory: &mut DroidMemory<'_>, limit: Option<f64>) -> (Vec<Planes>, Vec<f3
         }
         let last = |of: &dyn Fn(&Planes, usize, usize) -> f32| -> Vec<f32> {
             let edges = planes.iter();
-            edges.flat_map(|p| (0..2 * N).map(move |i| of(p, i % 2, i / 2))).collect()
+            edges
+                .flat_map(|p| (0..2 * N).map(move |i| of(p, i % 2, i / 2)))
+                .collect()
         };
         let delta = last(&|p, c, i| p.target[c][i] - p.projected[c][i]);
         let weight = last(&|p, c, i| p.weight[c][i]);
         let still: Vec<f32> = planes.iter().flat_map(|p| p.still.clone()).collect();
         if let Some(limit) = limit {
-            agree("delta", &delta, &file.floats(&format!("it{step}_delta")).0, limit);
-            agree("weight", &weight, &file.floats(&format!("it{step}_weight")).0, limit);
+            agree(
+                "delta",
+                &delta,
+                &file.floats(&format!("it{step}_delta")).0,
+                limit,
+            );
+            agree(
+                "weight",
+                &weight,
+                &file.floats(&format!("it{step}_weight")).0,
+                limit,
+            );
             agree("m", &still, &file.floats(&format!("it{step}_m")).0, limit);
             agree("eta", &eta, &file.floats(&format!("it{step}_eta")).0, limit);
         }
@@ -93,7 +127,9 @@ fn run(memory: &mut DroidMemory<'_>, limit: Option<f64>) -> (Vec<Planes>, Vec<f3
 fn a_loop_agrees_with_the_module() {
     let mut memory = memory(options(1 << 30, Storage::F32));
     run(&mut memory, Some(1e-4));
-    let want = Fixture::open("droid/update_loop.safetensors").floats("hidden_final_strided").0;
+    let want = Fixture::open("droid/update_loop.safetensors")
+        .floats("hidden_final_strided")
+        .0;
     let mut hidden = Vec::new();
     for edge in 0..6 {
         let values = memory.kept(Key::Hidden(edge)).unwrap();
@@ -106,7 +142,10 @@ fn a_loop_agrees_with_the_module() {
 #[test]
 fn the_budget_and_the_threads_change_no_bit() {
     let with = |budget: usize, threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| {
             let mut memory = memory(options(budget, Storage::F16));
             let motion = memory.motion_px(0, 1).unwrap();
@@ -141,14 +180,28 @@ fn motion_equals_one_update_from_rest() {
     let net = memory.net.clone();
     let [hidden, context] = memory.first_state(1).unwrap();
     let source = FeatureMap::new(memory.features(1).unwrap());
-    let centres = (0..N).flat_map(|i| [(i % 24) as f32, (i / 24) as f32]).collect();
+    let centres = (0..N)
+        .flat_map(|i| [(i % 24) as f32, (i / 24) as f32])
+        .collect();
     let corr = memory.correlation(&source, 2, centres).unwrap();
     let zeros = Tensor::zeros([1, 4, 16, 24], &crate::cpu());
     let update = &net.net.update;
-    let hidden = update.advance(&net.gru, hidden, net.gru.context(context), corr, Some(zeros));
+    let hidden = update.advance(
+        &net.gru,
+        hidden,
+        net.gru.context(context),
+        corr,
+        Some(zeros),
+    );
     let delta = read(update.delta(hidden)).unwrap();
-    let want = (0..N).map(|i| f64::from(delta[i]).hypot(f64::from(delta[N + i]))).sum::<f64>() / N as f64;
-    assert!((got - want).abs() < 1e-9 * want && want > 0.0, "{got}, not {want}");
+    let want = (0..N)
+        .map(|i| f64::from(delta[i]).hypot(f64::from(delta[N + i])))
+        .sum::<f64>()
+        / N as f64;
+    assert!(
+        (got - want).abs() < 1e-9 * want && want > 0.0,
+        "{got}, not {want}"
+    );
 }
 
 #[test]
@@ -173,10 +226,20 @@ fn requests_that_make_no_sense_are_refused() {
     };
     for (source, ids, pixels, said) in [
         (0, &[5][..], N, "edge 5 is not known"),
-        (0, &[1][..], N, "edge 1 does not belong here: it starts at frame 1"),
+        (
+            0,
+            &[1][..],
+            N,
+            "edge 1 does not belong here: it starts at frame 1",
+        ),
         (0, &[0, 0][..], N, "edge 0 does not belong here"),
         (0, &[][..], N, "frame 0 is to be revised without an edge"),
-        (0, &[0][..], N - 1, "a plane of 383 numbers where the grid has 384 pixels"),
+        (
+            0,
+            &[0][..],
+            N - 1,
+            "a plane of 383 numbers where the grid has 384 pixels",
+        ),
         (0, &[2][..], N, "frame 7 is not available: no such frame"),
     ] {
         let error = attempt(source, ids, pixels).to_string();
@@ -198,7 +261,13 @@ fn non_finite_positions_do_not_panic() {
     planes[0].projected[0][8] = -1e30;
     let eta = revise(&mut memory, 0, &[0], &mut planes);
     assert!(eta.iter().all(|x| x.is_finite() && *x > 0.0));
-    assert!(planes[0].still.iter().chain(&planes[0].weight[0]).all(|x| x.is_finite()));
+    assert!(
+        planes[0]
+            .still
+            .iter()
+            .chain(&planes[0].weight[0])
+            .all(|x| x.is_finite())
+    );
     assert!(planes[0].target[0][5].is_nan() && planes[0].target[0][7].is_finite());
 }
 
@@ -241,6 +310,8 @@ fn missing_folder_is_reported() {
 #[test]
 fn a_memory_can_go_to_another_thread() {
     let memory = memory(options(10, Storage::F16));
-    let debug = std::thread::spawn(move || format!("{memory:?}")).join().unwrap();
+    let debug = std::thread::spawn(move || format!("{memory:?}"))
+        .join()
+        .unwrap();
     assert!(debug.contains("edges: 0"), "{debug}");
 }

@@ -7,14 +7,16 @@
 //!     sums of (outputs of the block) x (vectors of the tile) in registers
 //! ```
 //!
-//! Pixels are counted over the padded width, so that a tile goes from one row on to the next; sums of the columns between are
-//! thrown away. A sum runs over blocks of channels in order, whichever thread has it: the bits do not depend on the threads.
+//! Pixels are counted over the padded width, so that a tile goes from one row on to the next; sums
+//! of the columns between are thrown away. A sum runs over blocks of channels in order, whichever
+//! thread has it: the bits do not depend on the threads.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
 
 const LANES: usize = 16;
-/// Products that one sum takes before it goes back to memory: this many rows of weights stay in the first cache.
+/// Products that one sum takes before it goes back to memory: this many rows of weights stay in the
+/// first cache.
 const DEPTH: usize = 288;
 /// Pixels of a group: a multiple of all tiles.
 const GROUP: usize = 192;
@@ -42,8 +44,8 @@ pub enum Beyond {
 }
 
 impl Beyond {
-    /// Fills what lies beyond the inner rows and columns of a plane of rows of `wide` numbers, of which `above` and `left` come first
-    /// and last. It is zero before.
+    /// Fills what lies beyond the inner rows and columns of a plane of rows of `wide` numbers, of
+    /// which `above` and `left` come first and last. It is zero before.
     fn fill(self, plane: &mut [f32], wide: usize, [above, left]: [usize; 2]) {
         if self == Self::Nothing {
             return;
@@ -81,7 +83,11 @@ impl Shape {
             _ => Self::Narrow,
         }
         #[cfg(not(any(target_arch = "x86", target_arch = "x86_64")))]
-        if level.is_fallback() { Self::Narrow } else { Self::Middle }
+        if level.is_fallback() {
+            Self::Narrow
+        } else {
+            Self::Middle
+        }
     }
 
     const fn outputs(self) -> usize {
@@ -102,24 +108,34 @@ struct Padded<'a> {
     taps: &'a [usize],
 }
 
-/// The convolution of `n` images of `h` by `w` pixels; `parts` `[n][c][h * w]`, whose channels follow each other, are all of
-/// the filter's: `[n][out][h * w]`.
+/// The convolution of `n` images of `h` by `w` pixels; `parts` `[n][c][h * w]`, whose channels
+/// follow each other, are all of the filter's: `[n][out][h * w]`.
 pub fn convolve(parts: &[&[f32]], n: usize, size: [usize; 2], filter: &Filter<'_>) -> Vec<f32> {
     with_level(Level::new(), parts, n, size, filter)
 }
 
-fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filter: &Filter<'_>) -> Vec<f32> {
+fn with_level(
+    level: Level,
+    parts: &[&[f32]],
+    n: usize,
+    [h, w]: [usize; 2],
+    filter: &Filter<'_>,
+) -> Vec<f32> {
     let shape = Shape::of(level);
     let [kh, kw] = filter.kernel;
     let depth = (DEPTH / (kh * kw)).clamp(1, filter.channels);
     let packed = pack(filter, depth, shape.outputs());
     let wide = w + kw - 1;
     let plane = (h + kh - 1) * wide;
-    let taps: Vec<usize> = (0..kh).flat_map(|y| (0..kw).map(move |x| y * wide + x)).collect();
+    let taps: Vec<usize> = (0..kh)
+        .flat_map(|y| (0..kw).map(move |x| y * wide + x))
+        .collect();
     let groups = (h * wide).div_ceil(GROUP);
     let outputs = filter.out.next_multiple_of(shape.outputs());
     // as many images at a time as keep all threads busy
-    let together = (4 * rayon::current_num_threads()).div_ceil(groups).clamp(1, n);
+    let together = (4 * rayon::current_num_threads())
+        .div_ceil(groups)
+        .clamp(1, n);
     // the last tile reads beyond the last plane
     let room = filter.channels * plane + GROUP + kw;
     let mut padded = vec![0.0; together * room];
@@ -136,20 +152,28 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
                 })
             })
             .collect();
-        let rooms = padded.par_chunks_mut(room).zip(planes.par_chunks(filter.channels));
+        let rooms = padded
+            .par_chunks_mut(room)
+            .zip(planes.par_chunks(filter.channels));
         rooms.for_each(|(room, planes)| {
-            room.par_chunks_mut(plane).zip(planes).for_each(|(room, values)| {
-                let inner = room.chunks_exact_mut(wide).skip(kh / 2);
-                for (row, values) in inner.zip(values.chunks_exact(w)) {
-                    row[kw / 2..][..w].copy_from_slice(values);
-                }
-                filter.beyond.fill(room, wide, [kh / 2, kw / 2]);
-            });
+            room.par_chunks_mut(plane)
+                .zip(planes)
+                .for_each(|(room, values)| {
+                    let inner = room.chunks_exact_mut(wide).skip(kh / 2);
+                    for (row, values) in inner.zip(values.chunks_exact(w)) {
+                        row[kw / 2..][..w].copy_from_slice(values);
+                    }
+                    filter.beyond.fill(room, wide, [kh / 2, kw / 2]);
+                });
         });
         let tasks = sums[..count * groups * outputs * GROUP].par_chunks_mut(outputs * GROUP);
         tasks.enumerate().for_each(|(task, sums)| {
             sums.fill(0.0);
-            let image = Padded { values: &padded[task / groups * room..][..room], plane, taps: &taps };
+            let image = Padded {
+                values: &padded[task / groups * room..][..room],
+                plane,
+                taps: &taps,
+            };
             let (from, c) = (task % groups * GROUP, filter.channels);
             dispatch!(level, s => match shape {
                 Shape::Wide => group::<_, 8, 3>(s, &image, from, &packed, c, depth, sums),
@@ -157,23 +181,25 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
                 Shape::Narrow => group::<_, 3, 1>(s, &image, from, &packed, c, depth, sums),
             });
         });
-        out.par_chunks_exact_mut(h * w).enumerate().for_each(|(map, out)| {
-            let (image, o) = (map / filter.out, map % filter.out);
-            let bias = filter.bias.map_or(0.0, |bias| bias[o]);
-            for (y, row) in out.chunks_exact_mut(w).enumerate() {
-                let (mut at, mut row) = (y * wide, row);
-                while !row.is_empty() {
-                    let (g, inside) = (image * groups + at / GROUP, at % GROUP);
-                    let len = row.len().min(GROUP - inside);
-                    let (now, later) = row.split_at_mut(len);
-                    let sums = &sums[(g * outputs + o) * GROUP + inside..][..len];
-                    for (out, sum) in now.iter_mut().zip(sums) {
-                        *out = sum + bias;
+        out.par_chunks_exact_mut(h * w)
+            .enumerate()
+            .for_each(|(map, out)| {
+                let (image, o) = (map / filter.out, map % filter.out);
+                let bias = filter.bias.map_or(0.0, |bias| bias[o]);
+                for (y, row) in out.chunks_exact_mut(w).enumerate() {
+                    let (mut at, mut row) = (y * wide, row);
+                    while !row.is_empty() {
+                        let (g, inside) = (image * groups + at / GROUP, at % GROUP);
+                        let len = row.len().min(GROUP - inside);
+                        let (now, later) = row.split_at_mut(len);
+                        let sums = &sums[(g * outputs + o) * GROUP + inside..][..len];
+                        for (out, sum) in now.iter_mut().zip(sums) {
+                            *out = sum + bias;
+                        }
+                        (row, at) = (later, at + len);
                     }
-                    (row, at) = (later, at + len);
                 }
-            }
-        });
+            });
     }
     out
 }
@@ -189,7 +215,8 @@ fn pack(filter: &Filter<'_>, depth: usize, block: usize) -> Vec<f32> {
         let deep = depth.min(filter.channels - first) * taps;
         for (b, packed) in packed.chunks_exact_mut(deep * block).enumerate() {
             for o in 0..block.min(filter.out - (b * block).min(filter.out)) {
-                let weights = &filter.weight[((b * block + o) * filter.channels + first) * taps..][..deep];
+                let weights =
+                    &filter.weight[((b * block + o) * filter.channels + first) * taps..][..deep];
                 for (to, &weight) in packed.iter_mut().skip(o).step_by(block).zip(weights) {
                     *to = weight;
                 }
@@ -199,7 +226,8 @@ fn pack(filter: &Filter<'_>, depth: usize, block: usize) -> Vec<f32> {
     packed
 }
 
-/// Sums `[output][GROUP]` of the pixels from `from` on, over all channels, `depth` of them at a time.
+/// Sums `[output][GROUP]` of the pixels from `from` on, over all channels, `depth` of them at a
+/// time.
 #[inline(always)]
 fn group<S: Simd, const OUT: usize, const VECTORS: usize>(
     s: S,
@@ -227,7 +255,8 @@ fn group<S: Simd, const OUT: usize, const VECTORS: usize>(
     }
 }
 
-/// Adds to `sums` `[OUT][GROUP]`, from `tile` on, what the channels of `panel` `[channel][tap][OUT]` give.
+/// Adds to `sums` `[OUT][GROUP]`, from `tile` on, what the channels of `panel`
+/// `[channel][tap][OUT]` give.
 #[inline(always)]
 fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
     s: S,
@@ -277,8 +306,11 @@ mod tests {
     fn levels() -> Vec<Level> {
         let best = Level::new();
         #[cfg(target_arch = "x86_64")]
-        let all =
-            [best.as_sse2().map(|t| t.level()), best.as_avx2().map(|t| t.level()), best.as_avx512().map(|t| t.level())];
+        let all = [
+            best.as_sse2().map(|t| t.level()),
+            best.as_avx2().map(|t| t.level()),
+            best.as_avx512().map(|t| t.level()),
+        ];
         #[cfg(not(target_arch = "x86_64"))]
         let all = [Some(best)];
         all.into_iter().flatten().collect()
@@ -292,9 +324,13 @@ mod tests {
                 let mut sum = filter.bias.map_or(0.0, |b| f64::from(b[o]));
                 for c in 0..filter.channels {
                     for (ky, kx) in (0..kh).flat_map(|y| (0..kw).map(move |x| (y, x))) {
-                        let (y, x1) = ((y + ky).wrapping_sub(kh / 2), (x0 + kx).wrapping_sub(kw / 2));
+                        let (y, x1) = (
+                            (y + ky).wrapping_sub(kh / 2),
+                            (x0 + kx).wrapping_sub(kw / 2),
+                        );
                         if y < h && x1 < w {
-                            let weight = filter.weight[((o * filter.channels + c) * kh + ky) * kw + kx];
+                            let weight =
+                                filter.weight[((o * filter.channels + c) * kh + ky) * kw + kx];
                             sum += f64::from(weight) * f64::from(x[(c * h + y) * w + x1]);
                         }
                     }
@@ -307,22 +343,40 @@ mod tests {
 
     #[test]
     fn every_level_agrees_with_the_definition() {
-        for (channels, out, kernel, [h, w]) in
-            [(70, 13, [3, 3], [7, 31]), (9, 8, [7, 7], [12, 20]), (300, 3, [1, 1], [5, 5])]
-        {
+        for (channels, out, kernel, [h, w]) in [
+            (70, 13, [3, 3], [7, 31]),
+            (9, 8, [7, 7], [12, 20]),
+            (300, 3, [1, 1], [5, 5]),
+        ] {
             let x = formula_input("x", 0.1, 1.0, channels * h * w);
             let weight = formula_input("w", 0.0, 0.1, out * channels * kernel[0] * kernel[1]);
             let bias = formula_input("b", 0.0, 1.0, out);
-            let filter = Filter { weight: &weight, bias: Some(&bias), out, channels, kernel, beyond: Beyond::Nothing };
+            let filter = Filter {
+                weight: &weight,
+                bias: Some(&bias),
+                out,
+                channels,
+                kernel,
+                beyond: Beyond::Nothing,
+            };
             let want = by_definition(&x, [h, w], &filter);
             let largest = want.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
             assert!(largest > 0.5);
             for level in levels() {
                 let got = with_level(level, &[&x], 1, [h, w], &filter);
                 assert_eq!(got.len(), want.len());
-                let errors = got.iter().zip(&want).map(|(a, b)| (f64::from(*a) - b).abs());
-                let error = errors.fold(0.0, |m: f64, x| if x.is_nan() { f64::NAN } else { m.max(x) });
-                assert!(error < 3e-6 * largest, "{level:?} {kernel:?}: {error:.1e} of {largest:.1e}");
+                let errors = got
+                    .iter()
+                    .zip(&want)
+                    .map(|(a, b)| (f64::from(*a) - b).abs());
+                let error = errors.fold(
+                    0.0,
+                    |m: f64, x| if x.is_nan() { f64::NAN } else { m.max(x) },
+                );
+                assert!(
+                    error < 3e-6 * largest,
+                    "{level:?} {kernel:?}: {error:.1e} of {largest:.1e}"
+                );
             }
         }
     }
@@ -332,7 +386,14 @@ mod tests {
         let (channels, out, n, h, w) = (40, 20, 7, 30, 41);
         let x = formula_input("x", 0.1, 1.0, n * channels * h * w);
         let weight = formula_input("w", 0.0, 0.1, out * channels * 9);
-        let filter = Filter { weight: &weight, bias: None, out, channels, kernel: [3, 3], beyond: Beyond::Nothing };
+        let filter = Filter {
+            weight: &weight,
+            bias: None,
+            out,
+            channels,
+            kernel: [3, 3],
+            beyond: Beyond::Nothing,
+        };
         same_on_any_threads(|| convolve(&[&x], n, [h, w], &filter));
     }
 }

@@ -1,8 +1,9 @@
 //! Convolutions, with a kernel of our own where tensors lie on the processor.
 //!
-//! Burn's copies each neighbourhood into a row of a matrix (im2col) and multiplies with the crate `gemm`, which reaches 30% of
-//! what a core with 512-bit vectors can do. [`direct`] reads the padded planes in place, and its innermost loop holds its
-//! sums in registers. Elsewhere, and for strides, dilations and groups, the convolution is Burn's.
+//! Burn's copies each neighbourhood into a row of a matrix (im2col) and multiplies with the crate
+//! `gemm`, which reaches 30% of what a core with 512-bit vectors can do. [`direct`] reads the
+//! padded planes in place, and its innermost loop holds its sums in registers. Elsewhere, and for
+//! strides, dilations and groups, the convolution is Burn's.
 
 mod direct;
 
@@ -20,13 +21,18 @@ pub fn convolve<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d) -> Tensor<
     with(parts, conv, Beyond::Nothing)
 }
 
-/// `conv`, which is padded by half its kernel, of `x` `[n, c, h, w]` with its edges repeated instead of zeros around it.
+/// `conv`, which is padded by half its kernel, of `x` `[n, c, h, w]` with its edges repeated
+/// instead of zeros around it.
 pub fn convolve_edges(x: Tensor<4>, conv: &Conv2d) -> Tensor<4> {
     with([x], conv, Beyond::Edges)
 }
 
 fn with<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
-    if is_for_kernel(&parts, conv) { on_processor(parts, conv, beyond) } else { by_burn(parts.to_vec(), conv, beyond) }
+    if is_for_kernel(&parts, conv) {
+        on_processor(parts, conv, beyond)
+    } else {
+        by_burn(parts.to_vec(), conv, beyond)
+    }
 }
 
 fn by_burn(mut parts: Vec<Tensor<4>>, conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
@@ -43,7 +49,12 @@ fn by_burn(mut parts: Vec<Tensor<4>>, conv: &Conv2d, beyond: Beyond) -> Tensor<4
     let [up, left] = conv.kernel_size.map(|k| k / 2);
     let x = x.pad([(0, 0), (0, 0), (up, up), (left, left)], PadMode::Edge);
     let options = ConvOptions::new(conv.stride, [0, 0], conv.dilation, conv.groups);
-    conv2d(x, conv.weight.val(), conv.bias.as_ref().map(|bias| bias.val()), options)
+    conv2d(
+        x,
+        conv.weight.val(),
+        conv.bias.as_ref().map(|bias| bias.val()),
+        options,
+    )
 }
 
 /// Whether the kernel does what `conv` does with `parts`.
@@ -56,10 +67,17 @@ fn is_for_kernel(parts: &[Tensor<4>], conv: &Conv2d) -> bool {
     let half = PaddingConfig2d::Explicit(kh / 2, kw / 2, kh / 2, kw / 2);
     let plain = conv.stride == [1, 1] && conv.dilation == [1, 1] && conv.groups == 1;
     let given: usize = parts.iter().map(|p| p.dims()[1]).sum();
-    let fits = parts.iter().all(|p| [0, 2, 3].map(|k| p.dims()[k]) == [n, h, w]) && given == channels;
+    let fits = parts
+        .iter()
+        .all(|p| [0, 2, 3].map(|k| p.dims()[k]) == [n, h, w])
+        && given == channels;
     let centred = kh % 2 == 1 && kw % 2 == 1 && conv.padding == half;
     let bias = conv.bias.iter().map(|bias| bias.val().dtype());
-    let mut types = parts.iter().map(Tensor::dtype).chain([weight.dtype()]).chain(bias);
+    let mut types = parts
+        .iter()
+        .map(Tensor::dtype)
+        .chain([weight.dtype()])
+        .chain(bias);
     let here = weight.device() == Device::flex() && types.all(|t| t == DType::F32);
     here && plain && fits && centred && n * h * w * channels > 0
 }
@@ -96,14 +114,24 @@ mod tests {
     use burn_core::tensor::Tensor;
     use m4_testkit::{assert_close, formula_input};
 
-    fn agrees<const P: usize>(parts: [usize; P], out: usize, kernel: [usize; 2], [n, h, w]: [usize; 3], bias: bool) {
+    fn agrees<const P: usize>(
+        parts: [usize; P],
+        out: usize,
+        kernel: [usize; 2],
+        [n, h, w]: [usize; 3],
+        bias: bool,
+    ) {
         let device = cpu();
         let channels: usize = parts.iter().sum();
         let values = |key: &str, n: usize| formula_input(key, 0.1, 1.0, n);
         let mut layer = conv([channels, out], kernel[0], 1, bias, &device);
         let count = out * channels * kernel[0] * kernel[1];
         let scale = 1.0 / ((channels * kernel[0] * kernel[1]) as f32).sqrt();
-        let weight = tensor(values("w", count), [out, channels, kernel[0], kernel[1]], &device) * scale;
+        let weight = tensor(
+            values("w", count),
+            [out, channels, kernel[0], kernel[1]],
+            &device,
+        ) * scale;
         layer.weight = Param::from_tensor(weight);
         layer.kernel_size = kernel;
         let [py, px] = kernel.map(|k| k / 2);
@@ -111,7 +139,11 @@ mod tests {
         layer.bias = bias.then(|| Param::from_tensor(tensor(values("b", out), [out], &device)));
         let parts: [Tensor<4>; P] = std::array::from_fn(|i| {
             let c = parts[i];
-            tensor(values(&format!("x{i}"), n * c * h * w), [n, c, h, w], &device)
+            tensor(
+                values(&format!("x{i}"), n * c * h * w),
+                [n, c, h, w],
+                &device,
+            )
         });
         let numbers = |x: Tensor<4>| -> Vec<f32> { x.try_into_vec_as().unwrap() };
         assert!(is_for_kernel(&parts, &layer));
@@ -138,7 +170,13 @@ mod tests {
     fn a_stride_is_not_for_the_kernel() {
         let device = cpu();
         let layer = conv([4, 4], 3, 2, true, &device);
-        assert!(!is_for_kernel(&[Tensor::zeros([1, 4, 8, 8], &device)], &layer));
-        assert_eq!(convolve([Tensor::zeros([1, 4, 8, 8], &device)], &layer).dims(), [1, 4, 4, 4]);
+        assert!(!is_for_kernel(
+            &[Tensor::zeros([1, 4, 8, 8], &device)],
+            &layer
+        ));
+        assert_eq!(
+            convolve([Tensor::zeros([1, 4, 8, 8], &device)], &layer).dims(),
+            [1, 4, 4, 4]
+        );
     }
 }

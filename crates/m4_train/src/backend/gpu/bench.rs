@@ -14,7 +14,8 @@ use m4_kernels::{Frame, Kernel, StepStats, View};
 
 /// Weight of SSIM beside L1 (3DGS), as on the processor.
 const LAMBDA_SSIM: f32 = 0.2;
-/// Learning rate of every column, as on the processor: small, so that the scene stays what it is while it is timed.
+/// Learning rate of every column, as on the processor: small, so that the scene stays what it is
+/// while it is timed.
 const RATE: f32 = 1e-4;
 const DOING: &str = "timing steps";
 
@@ -32,9 +33,21 @@ impl Bench {
     /// Fails with [`GpuError`] if it does not fit or the device fails.
     pub fn new(gpu: Gpu, scene: BenchScene) -> Result<Self, GpuError> {
         let adam = AdamState::new(&scene.splats);
-        let trainer = GpuTrainer::new(gpu.clone(), &scene.splats, &adam, [&scene.target], usize::MAX)?;
-        let mut bench = Self { rates: vec![RATE; scene.splats.columns().len()], trainer, gpu, scene };
-        // the first round may leave entries out and then makes room for them; the second has them all
+        let trainer = GpuTrainer::new(
+            gpu.clone(),
+            &scene.splats,
+            &adam,
+            [&scene.target],
+            usize::MAX,
+        )?;
+        let mut bench = Self {
+            rates: vec![RATE; scene.splats.columns().len()],
+            trainer,
+            gpu,
+            scene,
+        };
+        // the first round may leave entries out and then makes room for them; the second has them
+        // all
         for _ in 0..2 {
             (0..bench.views()).try_for_each(|view| bench.step(view))?;
             bench.stats()?;
@@ -54,11 +67,15 @@ impl Bench {
             lambda_ssim: LAMBDA_SSIM,
             cover: 0.0,
             rates: &self.rates,
-            nodes: NodeRates { position: RATE, turn: RATE },
+            nodes: NodeRates {
+                position: RATE,
+                turn: RATE,
+            },
             adam: AdamConfig::default(),
             psnr: false,
         };
-        self.trainer.step(&[StepView::new(0, &self.scene.views[view])], &settings)
+        self.trainer
+            .step(&[StepView::new(0, &self.scene.views[view])], &settings)
     }
 
     /// Waits, and returns the statistics of the steps since the last call.
@@ -67,9 +84,9 @@ impl Bench {
         self.trainer.stats()
     }
 
-    /// One training step on view `view`, each kernel timed on its own: by the device's clock, or, where
-    /// [`own_clock`](Self::own_clock) is false, by waiting for the device after it.
-    /// Fails with [`GpuError`] if the device fails or cannot be timed.
+    /// One training step on view `view`, each kernel timed on its own: by the device's clock, or,
+    /// where [`own_clock`](Self::own_clock) is false, by waiting for the device after it. Fails
+    /// with [`GpuError`] if the device fails or cannot be timed.
     pub fn laps(&mut self, view: usize) -> Result<Laps, GpuError> {
         self.gpu.wait(DOING)?;
         self.trainer.work.stopwatch.start(&self.gpu);
@@ -114,8 +131,13 @@ impl Bench {
         let (entries, gpu) = (self.trainer.work.size.entries, self.gpu);
         drop(self.trainer);
         let first = &self.scene.views[0].camera.intrinsics;
-        let size =
-            Size { n: self.scene.splats.n(), width: first.width, height: first.height, entries, training: false };
+        let size = Size {
+            n: self.scene.splats.n(),
+            width: first.width,
+            height: first.height,
+            entries,
+            training: false,
+        };
         Ok(Drawing {
             splats: DeviceSplats::upload(&gpu, &self.scene.splats)?,
             work: Work::new(&gpu, size)?,
@@ -156,7 +178,8 @@ impl Drawing {
         self.work.stopwatch.stop(&self.gpu)
     }
 
-    /// Draws view `view` and copies the image to the host. Fails with [`GpuError`] if the device fails.
+    /// Draws view `view` and copies the image to the host. Fails with [`GpuError`] if the device
+    /// fails.
     pub fn read(&mut self, view: usize) -> Result<Frame, GpuError> {
         self.reader.render(&self.views[view])
     }

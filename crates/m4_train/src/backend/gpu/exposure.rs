@@ -1,6 +1,9 @@
-//! Exposures on the device, and the sums for the least-squares fit of colours: the residual of a splat's pixels, and the
-//! weight of the splat in them.
-#![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
+//! Exposures on the device, and the sums for the least-squares fit of colours: the residual of a
+//! splat's pixels, and the weight of the splat in them.
+#![expect(
+    clippy::collapsible_if,
+    reason = "kernels are expanded: conditions at compile time stand alone"
+)]
 
 use crate::backend::{
     ColourSums,
@@ -24,8 +27,9 @@ use m4_kernels::{
 pub(crate) const NUMBERS: usize = 12;
 
 impl GpuTrainer {
-    /// The correction of each frame from here on, by number: steps, scores and sums of colours compare `matrix rgb +
-    /// offset` with the frame. Frames that the list does not reach, all of them for an empty one, are not corrected.
+    /// The correction of each frame from here on, by number: steps, scores and sums of colours
+    /// compare `matrix rgb + offset` with the frame. Frames that the list does not reach, all of
+    /// them for an empty one, are not corrected.
     pub fn set_exposures(&mut self, exposures: &[Exposure]) {
         self.exposures = exposures.to_vec();
     }
@@ -50,7 +54,8 @@ impl GpuTrainer {
         (self.exposed.clone(), Some(exposure))
     }
 
-    /// Turns the gradient of corrected colours into that of the colours drawn; `log` also keeps that of the correction.
+    /// Turns the gradient of corrected colours into that of the colours drawn; `log` also keeps
+    /// that of the correction.
     pub(crate) fn pull_back(&mut self, frame: usize, exposure: &Buffer, log: bool) {
         let (gpu, pixels) = (&self.gpu, self.work.size.pixels());
         let parts = log.then(|| self.exposure_log.next(gpu, frame, pixels));
@@ -86,13 +91,16 @@ fn expose(image: &[f32], exposure: &[f32], out: &mut [f32], pixels: u32) {
         let (red, green, blue) = (image[i], image[all + i], image[2 * all + i]);
         #[unroll]
         for r in 0usize..3usize {
-            out[r * all + i] =
-                exposure[4 * r] * red + exposure[4 * r + 1] * green + exposure[4 * r + 2] * blue + exposure[4 * r + 3];
+            out[r * all + i] = exposure[4 * r] * red
+                + exposure[4 * r + 1] * green
+                + exposure[4 * r + 2] * blue
+                + exposure[4 * r + 3];
         }
     }
 }
 
-/// `gradient` becomes the matrix's transpose times itself; `parts` get the gradient of the correction, summed a cube.
+/// `gradient` becomes the matrix's transpose times itself; `parts` get the gradient of the
+/// correction, summed a cube.
 #[cube(launch)]
 fn pull_back(
     image: &[f32],
@@ -135,9 +143,10 @@ fn pull_back(
 }
 
 impl GpuTrainer {
-    /// Renders each view of a frame, by its number, and adds up the sums for the fit of colours; on the device,
-    /// read back at the end. Ends where `stop` says so before a frame: the sums are then of no use.
-    /// Fails with [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
+    /// Renders each view of a frame, by its number, and adds up the sums for the fit of colours; on
+    /// the device, read back at the end. Ends where `stop` says so before a frame: the sums are
+    /// then of no use. Fails with [`GpuError`] if there is no such frame, if there is no room for
+    /// the tile entries, or if the device failed.
     pub fn colour_sums(
         &mut self,
         views: &[(usize, View)],
@@ -173,7 +182,14 @@ impl GpuTrainer {
         }
         let sums = sums.read_floats(&gpu.client, TRAINING)?;
         let planes = |kind: usize| [0, 1, 2].map(|k| sums[(3 * kind + k) * n..][..n].to_vec());
-        Ok(ColourSums { residual: planes(0), weight: if with_weight { planes(1) } else { Default::default() } })
+        Ok(ColourSums {
+            residual: planes(0),
+            weight: if with_weight {
+                planes(1)
+            } else {
+                Default::default()
+            },
+        })
     }
 
     /// Image minus frame becomes the gradient.
@@ -191,12 +207,24 @@ impl GpuTrainer {
     /// Adds the gradient of the constant coefficients to three planes of `sums`.
     fn add_colours(&mut self, view: &View, sums: &Buffer, first: usize) {
         let n = self.splats.n;
-        self.work.backward(&self.gpu, &self.splats, &self.gradients, view.mip, None, None);
+        self.work.backward(
+            &self.gpu,
+            &self.splats,
+            &self.gradients,
+            view.mip,
+            None,
+            None,
+        );
         launch!(
             &self.gpu.client,
             add_touched::launch,
             (cubes(n, 256), units()),
-            [self.gradients.colour, self.work.touched, self.adam.steps, sums],
+            [
+                self.gradients.colour,
+                self.work.touched,
+                self.adam.steps,
+                sums
+            ],
             [n as u32, first as u32]
         );
     }
@@ -224,7 +252,14 @@ fn fill_ones(values: &mut [f32], count: u32) {
 
 /// Adds three columns to three planes, where touched and not fixed.
 #[cube(launch)]
-fn add_touched(columns: &[f32], touched: &[u32], steps: &[u32], sums: &mut [f32], n: u32, first: u32) {
+fn add_touched(
+    columns: &[f32],
+    touched: &[u32],
+    steps: &[u32],
+    sums: &mut [f32],
+    n: u32,
+    first: u32,
+) {
     let i = ABSOLUTE_POS as u32;
     if i < n {
         if touched[i as usize] != 0u32 && steps[i as usize] != FIXED {

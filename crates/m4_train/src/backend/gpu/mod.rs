@@ -57,18 +57,36 @@ impl GpuBackend {
     }
 
     fn trainer(&mut self) -> Result<&mut GpuTrainer, BackendError> {
-        self.trainer.as_mut().ok_or_else(|| BackendError("the GPU was asked to work before it had splats".to_owned()))
+        self.trainer.as_mut().ok_or_else(|| {
+            BackendError("the GPU was asked to work before it had splats".to_owned())
+        })
     }
 
-    /// Bytes for frames on the device, those that fit beside everything else. The others are sent when they are used.
+    /// Bytes for frames on the device, those that fit beside everything else. The others are sent
+    /// when they are used.
     fn budget(&self, splats: &Splats, frames: &[Target]) -> Result<usize, GpuError> {
         let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
         let layout = self.degree.raise(splats.layout());
         let plan = |frames, entries| {
-            let plan = Plan::training(splats.n_static(), splats.n_dynamic(), layout, size, frames, entries);
+            let plan = Plan::training(
+                splats.n_static(),
+                splats.n_dynamic(),
+                layout,
+                size,
+                frames,
+                entries,
+            );
             let plan = plan.with_bound(splats.bindings().len(), splats.windows());
-            let plan = if self.batches { plan.with_batches() } else { plan };
-            if self.image_gradients { plan.with_image_gradients() } else { plan }
+            let plan = if self.batches {
+                plan.with_batches()
+            } else {
+                plan
+            };
+            if self.image_gradients {
+                plan.with_image_gradients()
+            } else {
+                plan
+            }
         };
         let entries = Size::first_entries(splats.n());
         let least = plan(1, entries);
@@ -112,7 +130,8 @@ impl Backend for GpuBackend {
         }
         let frames = std::mem::take(&mut self.waiting);
         let budget = self.budget(splats, &frames).map_err(failed)?;
-        let mut trainer = GpuTrainer::new(self.gpu.clone(), splats, &adam, &frames, budget).map_err(failed)?;
+        let mut trainer =
+            GpuTrainer::new(self.gpu.clone(), splats, &adam, &frames, budget).map_err(failed)?;
         trainer.set_limit(self.limit_bytes);
         if self.image_gradients {
             trainer.collect_image_gradients();
@@ -138,7 +157,11 @@ impl Backend for GpuBackend {
         Ok(())
     }
 
-    fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), BackendError> {
+    fn step(
+        &mut self,
+        views: &[StepView<'_>],
+        settings: &StepSettings<'_>,
+    ) -> Result<(), BackendError> {
         self.trainer()?.step(views, settings).map_err(failed)
     }
 
@@ -163,6 +186,8 @@ impl Backend for GpuBackend {
         with_weight: bool,
         stop: &dyn Fn() -> bool,
     ) -> Result<ColourSums, BackendError> {
-        self.trainer()?.colour_sums(views, with_weight, stop).map_err(failed)
+        self.trainer()?
+            .colour_sums(views, with_weight, stop)
+            .map_err(failed)
     }
 }

@@ -6,7 +6,8 @@ use m4_kernels::launch;
 use m4_kernels::splats::DeviceSplats;
 use std::f32::consts::TAU;
 
-/// Does on the device what [`crate::colour_degree::move_phases`] does: `splats` were the rows `sources` of `parents`.
+/// Does on the device what [`crate::colour_degree::move_phases`] does: `splats` were the rows
+/// `sources` of `parents`.
 pub(super) fn move_phases(
     client: &Client,
     parents: &DeviceSplats,

@@ -24,7 +24,10 @@ pub(crate) struct Batch {
 
 impl Batch {
     fn new(gpu: &Gpu, splats: &DeviceSplats) -> Self {
-        Self { gradients: splats.like(gpu), touched: Buffer::empty(&gpu.client, splats.n) }
+        Self {
+            gradients: splats.like(gpu),
+            touched: Buffer::empty(&gpu.client, splats.n),
+        }
     }
 }
 
@@ -32,7 +35,11 @@ impl GpuTrainer {
     /// What the first frame left becomes the sum.
     pub(crate) fn start_sum(&mut self) {
         let shape = |splats: &DeviceSplats| (splats.n, splats.n_static, splats.layout);
-        if !self.batch.as_ref().is_some_and(|b| shape(&b.gradients) == shape(&self.splats)) {
+        if !self
+            .batch
+            .as_ref()
+            .is_some_and(|b| shape(&b.gradients) == shape(&self.splats))
+        {
             self.batch = Some(Batch::new(&self.gpu, &self.splats));
         }
         self.swap_sum();
@@ -66,7 +73,13 @@ impl GpuTrainer {
                 [rows as u32, first as u32, columns.len() as u32]
             );
         }
-        launch!(client, unite::launch, (cubes(n, 256), units()), [batch.touched, self.work.touched], [n as u32]);
+        launch!(
+            client,
+            unite::launch,
+            (cubes(n, 256), units()),
+            [batch.touched, self.work.touched],
+            [n as u32]
+        );
     }
 }
 
@@ -107,11 +120,16 @@ fn unite(old: &mut [u32], new: &[u32], n: u32) {
 }
 
 impl GpuTrainer {
-    /// Renders each view, compares it with its frame, and moves every splat that was seen along the sum of the gradients; nothing for no
-    /// view. Returns before the device is done; nothing is read back but, in the first step after splats were replaced, how many
-    /// tile entries there are.
-    /// Fails with [`GpuError`] if there is no such frame, if a view has another size, if there is no room for the tile entries, or if the device failed.
-    pub fn step(&mut self, views: &[StepView<'_>], settings: &StepSettings<'_>) -> Result<(), GpuError> {
+    /// Renders each view, compares it with its frame, and moves every splat that was seen along the
+    /// sum of the gradients; nothing for no view. Returns before the device is done; nothing is
+    /// read back but, in the first step after splats were replaced, how many tile entries there
+    /// are. Fails with [`GpuError`] if there is no such frame, if a view has another size, if there
+    /// is no room for the tile entries, or if the device failed.
+    pub fn step(
+        &mut self,
+        views: &[StepView<'_>],
+        settings: &StepSettings<'_>,
+    ) -> Result<(), GpuError> {
         let columns = self.splats.layout.columns();
         ShapeError::check("learning rates", columns, settings.rates.len())?;
         self.work.node_keys.clear();
@@ -136,17 +154,31 @@ impl GpuTrainer {
     /// Renders a frame, compares it, and leaves the gradients of the splats.
     fn frame_gradient(&mut self, step: &StepView<'_>, lambda: f32) -> Result<(), GpuError> {
         let target = self.frames.get(&self.gpu, step.frame)?;
-        self.draw(&View { with_depth: false, ..*step.view })?;
+        self.draw(&View {
+            with_depth: false,
+            ..*step.view
+        })?;
         let (shown, exposure) = self.corrected(step.frame);
         let (gpu, gradient) = (&self.gpu, &self.work.gradient);
-        self.loss.differentiate(gpu, &shown, &target, lambda, &self.tally, gradient);
+        self.loss
+            .differentiate(gpu, &shown, &target, lambda, &self.tally, gradient);
         if let Some(exposure) = exposure {
             self.pull_back(step.frame, &exposure, step.exposure);
         }
         let (gpu, n) = (&self.gpu, self.splats.n);
         let camera = step.camera.then(|| self.cameras.next(gpu, step.frame, n));
-        let centres = self.image_gradients.as_mut().map(|sums| sums.centres(gpu, n));
-        self.work.backward(gpu, &self.splats, &self.gradients, step.view.mip, camera.as_ref(), centres);
+        let centres = self
+            .image_gradients
+            .as_mut()
+            .map(|sums| sums.centres(gpu, n));
+        self.work.backward(
+            gpu,
+            &self.splats,
+            &self.gradients,
+            step.view.mip,
+            camera.as_ref(),
+            centres,
+        );
         if step.camera {
             self.cameras.add_up(gpu);
         }
@@ -156,7 +188,8 @@ impl GpuTrainer {
         Ok(())
     }
 
-    /// Moves every splat that was seen, and the nodes that carry them; `weight` is that of [`cover`].
+    /// Moves every splat that was seen, and the nodes that carry them; `weight` is that of
+    /// [`cover`].
     fn move_splats(&self, settings: &StepSettings<'_>, weight: f32) {
         if weight > 0.0 {
             let (splats, gradients) = (&self.splats, &self.gradients);
@@ -174,7 +207,14 @@ impl GpuTrainer {
         );
         if let Some(bound) = &self.splats.bound {
             let (nodes, keys) = (&self.adam.nodes, &self.work.node_keys);
-            nodes.step(&self.gpu, bound, keys, &self.tally, &settings.adam, settings.nodes);
+            nodes.step(
+                &self.gpu,
+                bound,
+                keys,
+                &self.tally,
+                &settings.adam,
+                settings.nodes,
+            );
         }
     }
 }

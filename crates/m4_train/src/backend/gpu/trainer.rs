@@ -51,9 +51,10 @@ pub struct GpuTrainer {
 }
 
 impl GpuTrainer {
-    /// Copies everything to the device; of the `frames`, which have one size, those that fit into `budget_bytes`. The
-    /// others stay here, three bytes per pixel, and are uploaded when they are used.
-    /// Fails with [`GpuError`] if frames differ in size or there are none, if it does not fit, or if the device fails.
+    /// Copies everything to the device; of the `frames`, which have one size, those that fit into
+    /// `budget_bytes`. The others stay here, three bytes per pixel, and are uploaded when they are
+    /// used. Fails with [`GpuError`] if frames differ in size or there are none, if it does not
+    /// fit, or if the device fails.
     pub fn new<T: Borrow<Target>>(
         gpu: Gpu,
         splats: &Splats,
@@ -123,8 +124,8 @@ impl GpuTrainer {
         Ok(())
     }
 
-    /// Refuses to take more than this many bytes from here on, by what is planned: `None` for no limit. Frames that turn out to
-    /// need more room for their tile entries fail then.
+    /// Refuses to take more than this many bytes from here on, by what is planned: `None` for no
+    /// limit. Frames that turn out to need more room for their tile entries fail then.
     pub fn set_limit(&mut self, limit_bytes: Option<u64>) {
         self.limit_bytes = limit_bytes;
     }
@@ -136,7 +137,14 @@ impl GpuTrainer {
         let n_static = self.splats.n_static.min(size.n);
         let (layout, frames) = (self.splats.layout, self.frames.resident());
         let image = (size.width, size.height);
-        let plan = Plan::training(n_static, size.n - n_static, layout, image, frames, size.entries);
+        let plan = Plan::training(
+            n_static,
+            size.n - n_static,
+            layout,
+            image,
+            frames,
+            size.entries,
+        );
         let plan = match self.batch {
             Some(_) => plan.with_batches(),
             None => plan,
@@ -154,7 +162,10 @@ impl GpuTrainer {
 
     /// Makes room for a frame of `wanted` entries, and a quarter more.
     fn make_room(&mut self, wanted: usize) -> Result<(), GpuError> {
-        self.make(Size { entries: wanted + wanted / 4, ..self.work.size })
+        self.make(Size {
+            entries: wanted + wanted / 4,
+            ..self.work.size
+        })
     }
 
     /// Memory for `size`, where it is another one.
@@ -170,13 +181,16 @@ impl GpuTrainer {
         Ok(())
     }
 
-    /// Waits, and returns the statistics of the steps since the last call, by one small read. Makes room for more tile entries where
-    /// frames had more than there was room for; those frames moved nothing.
-    /// Fails with [`GpuError`] if the device failed since.
+    /// Waits, and returns the statistics of the steps since the last call, by one small read. Makes
+    /// room for more tile entries where frames had more than there was room for; those frames moved
+    /// nothing. Fails with [`GpuError`] if the device failed since.
     pub fn stats(&mut self) -> Result<StepStats, GpuError> {
         let (mut stats, entries) = self.tally.take(&self.gpu, TRAINING)?;
         let cameras = self.cameras.take(&self.gpu, TRAINING)?;
-        stats.cameras = cameras.into_iter().map(|(f, row)| (f, camera(row))).collect();
+        stats.cameras = cameras
+            .into_iter()
+            .map(|(f, row)| (f, camera(row)))
+            .collect();
         stats.exposures = self.exposure_log.take(&self.gpu, TRAINING)?;
         self.work.peak = self.tally.buffer.clone();
         if entries > self.work.size.entries {
@@ -196,15 +210,23 @@ impl GpuTrainer {
         let Size { width, height, .. } = self.work.size;
         let pixels = width * height;
         let plane = |k: usize| image[k * pixels..(k + 1) * pixels].to_vec();
-        Ok(Frame { width, height, rgb: [plane(0), plane(1), plane(2)], transmittance: plane(3), depth: Vec::new() })
+        Ok(Frame {
+            width,
+            height,
+            rgb: [plane(0), plane(1), plane(2)],
+            transmittance: plane(3),
+            depth: Vec::new(),
+        })
     }
 
-    /// Waits, and copies splats and the optimiser's state back. Fails with [`GpuError`] if the device failed since.
+    /// Waits, and copies splats and the optimiser's state back. Fails with [`GpuError`] if the
+    /// device failed since.
     pub fn download(&self) -> Result<(Splats, AdamState), GpuError> {
         Ok((self.download_splats()?, self.download_adam()?))
     }
 
-    /// Lays splats and the optimiser's state out again, nearly as [`m4_kernels::morton_order`] does. Nothing leaves the device.
+    /// Lays splats and the optimiser's state out again, nearly as [`m4_kernels::morton_order`]
+    /// does. Nothing leaves the device.
     pub fn reorder(&mut self) {
         let (n, n_static) = (self.splats.n, self.splats.n_static);
         if n > 0 {
@@ -214,13 +236,15 @@ impl GpuTrainer {
                 sums.rearrange(&self.gpu, &order, n);
             }
             let bound = self.splats.bound.as_ref();
-            let bound = bound.map(|bound| bound.gathered(&self.gpu, &order, n_static, (n_static, bound.n)));
+            let bound =
+                bound.map(|bound| bound.gathered(&self.gpu, &order, n_static, (n_static, bound.n)));
             let splats = gathered(&self.gpu, &self.splats, &order, (n, n_static));
             self.splats = DeviceSplats { bound, ..splats };
         }
     }
 
-    /// The optimiser's state of the rows named, `shape` splats and static ones among them; zeros where there is no row.
+    /// The optimiser's state of the rows named, `shape` splats and static ones among them; zeros
+    /// where there is no row.
     pub(crate) fn gather_adam(&mut self, rows: &Buffer, shape: (usize, usize)) {
         let (gpu, adam) = (&self.gpu, &self.adam);
         self.adam = DeviceAdam {
@@ -236,7 +260,8 @@ impl GpuTrainer {
         self.splats.download(&self.gpu, TRAINING)
     }
 
-    /// Waits, and copies the optimiser's state back. Fails with [`GpuError`] if the device failed since.
+    /// Waits, and copies the optimiser's state back. Fails with [`GpuError`] if the device failed
+    /// since.
     pub fn download_adam(&self) -> Result<AdamState, GpuError> {
         let mut step = self.adam.steps.read_words(&self.gpu.client, TRAINING)?;
         step.truncate(self.splats.n);
@@ -244,25 +269,31 @@ impl GpuTrainer {
             m: self.adam.m.download(&self.gpu, TRAINING)?,
             v: self.adam.v.download(&self.gpu, TRAINING)?,
             step,
-            nodes: self.adam.nodes.download(&self.gpu, windows(&self.splats), TRAINING)?,
+            nodes: self
+                .adam
+                .nodes
+                .download(&self.gpu, windows(&self.splats), TRAINING)?,
         })
     }
 
-    /// Goes on with other splats and another state of the optimiser.
-    /// Fails with [`GpuError`] if they do not fit, or not together; the trainer is not to be used after that.
+    /// Goes on with other splats and another state of the optimiser. Fails with [`GpuError`] if
+    /// they do not fit, or not together; the trainer is not to be used after that.
     pub fn replace(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), GpuError> {
         check(splats, adam)?;
         self.adam = uploaded(&self.gpu, adam)?;
         self.replace_splats(splats)
     }
 
-    /// Uploads `splats` and makes what depends on their number. Fails with [`GpuError`] if they do not fit, or the state of the optimiser is that of
-    /// other windows.
+    /// Uploads `splats` and makes what depends on their number. Fails with [`GpuError`] if they do
+    /// not fit, or the state of the optimiser is that of other windows.
     pub fn replace_splats(&mut self, splats: &Splats) -> Result<(), GpuError> {
         self.adam.nodes.fit(splats.windows())?;
         self.splats = DeviceSplats::upload(&self.gpu, splats)?;
         self.gradients = self.splats.like(&self.gpu);
-        self.make(Size { n: splats.n(), ..self.work.size })
+        self.make(Size {
+            n: splats.n(),
+            ..self.work.size
+        })
     }
 }
 
@@ -284,7 +315,11 @@ fn windows(splats: &DeviceSplats) -> &[Window] {
 /// A row of the log of cameras.
 fn camera(row: [f64; 10]) -> CameraGradient {
     let [tx, ty, tz, rx, ry, rz, fx, fy, cx, cy] = row;
-    CameraGradient { tau: [tx, ty, tz], omega: [rx, ry, rz], intrinsics: [fx, fy, cx, cy] }
+    CameraGradient {
+        tau: [tx, ty, tz],
+        omega: [rx, ry, rz],
+        intrinsics: [fx, fy, cx, cy],
+    }
 }
 
 /// The state is that of these splats.
@@ -292,7 +327,11 @@ fn check(splats: &Splats, adam: &AdamState) -> Result<(), ShapeError> {
     let columns = splats.layout().columns();
     for of in [&adam.m, &adam.v] {
         ShapeError::check("splats of the optimiser", splats.n(), of.n())?;
-        ShapeError::check("static splats of the optimiser", splats.n_static(), of.n_static())?;
+        ShapeError::check(
+            "static splats of the optimiser",
+            splats.n_static(),
+            of.n_static(),
+        )?;
         ShapeError::check("columns of the optimiser", columns, of.layout().columns())?;
     }
     DeviceNodes::check(&adam.nodes, splats.windows())?;

@@ -72,7 +72,12 @@ impl Mask {
                 [pixels.div_ceil(256) as u32, threshold]
             ),
             Some(quantile) => {
-                let Quantile { place, pairs, sort, count } = quantile;
+                let Quantile {
+                    place,
+                    pairs,
+                    sort,
+                    count,
+                } = quantile;
                 launch!(
                     client,
                     bits::launch,
@@ -93,8 +98,8 @@ impl Mask {
     }
 }
 
-/// Mean over the channels of the absolute differences (Minute4D Eq. 6), 0 where that is not finite; smallest and largest of
-/// each cube.
+/// Mean over the channels of the absolute differences (Minute4D Eq. 6), 0 where that is not finite;
+/// smallest and largest of each cube.
 #[cube(launch)]
 fn error_map(image: &[f32], target: &[u32], errors: &mut [f32], extremes: &mut [f32], pixels: u32) {
     let mut low = Shared::<[f32]>::new_slice(256usize);
@@ -181,6 +186,11 @@ fn bits(errors: &[f32], keys: &mut [u32], pixels: u32) {
 #[cube(launch)]
 fn cut_of_quantile(keys: &[u32], cut: &mut [f32], place: u32, threshold: f32) {
     if ABSOLUTE_POS == 0 {
-        write_cut(f32::new(0.0f32), f32::reinterpret(keys[place as usize]), threshold, cut);
+        write_cut(
+            f32::new(0.0f32),
+            f32::reinterpret(keys[place as usize]),
+            threshold,
+            cut,
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! The statistic that 3DGS densifies by, collected on the device as [`crate::density::gradient`] does it on the CPU.
+//! The statistic that 3DGS densifies by, collected on the device as [`crate::density::gradient`]
+//! does it on the CPU.
 
 use cubecl::prelude::*;
 use m4_kernels::launch;
@@ -42,18 +43,30 @@ impl ImageGradients {
         &self.centres
     }
 
-    /// Adds the frame whose gradients `work` and [`centres`](Self::centres) have, where it touched splats that are not fixed.
+    /// Adds the frame whose gradients `work` and [`centres`](Self::centres) have, where it touched
+    /// splats that are not fixed.
     pub(crate) fn add(&self, gpu: &Gpu, work: &Work, adam: &DeviceAdam) {
         launch!(
             &gpu.client,
             add_lengths::launch,
             (cubes(self.n, 256), units()),
-            [self.centres, work.touched, adam.steps, self.sums, self.frames],
-            [self.n as u32, 0.5 * work.size.width as f32, 0.5 * work.size.height as f32]
+            [
+                self.centres,
+                work.touched,
+                adam.steps,
+                self.sums,
+                self.frames
+            ],
+            [
+                self.n as u32,
+                0.5 * work.size.width as f32,
+                0.5 * work.size.height as f32
+            ]
         );
     }
 
-    /// The means as the scores of `n` splats, `[2][n]`, none of which is pruned by score; the sums start anew.
+    /// The means as the scores of `n` splats, `[2][n]`, none of which is pruned by score; the sums
+    /// start anew.
     pub(crate) fn take(&mut self, gpu: &Gpu, n: usize) -> Buffer {
         let scores = self.means(gpu, n);
         self.sums.clear(&gpu.client);
@@ -65,7 +78,13 @@ impl ImageGradients {
     pub(crate) fn means(&mut self, gpu: &Gpu, n: usize) -> Buffer {
         self.fit(gpu, n);
         let scores = Buffer::zeros(&gpu.client, 2 * n);
-        launch!(&gpu.client, means::launch, (cubes(n, 256), units()), [self.sums, self.frames, scores], [n as u32]);
+        launch!(
+            &gpu.client,
+            means::launch,
+            (cubes(n, 256), units()),
+            [self.sums, self.frames, scores],
+            [n as u32]
+        );
         scores
     }
 

@@ -1,4 +1,5 @@
-//! A round of density control on the device (Minute4D sec. 3.3): scores, the choice of splats to clone, split and prune, and the new rows.
+//! A round of density control on the device (Minute4D sec. 3.3): scores, the choice of splats to
+//! clone, split and prune, and the new rows.
 //!
 //! | file | what it does |
 //! |---|---|
@@ -8,8 +9,8 @@
 //! | `outcomes` | the rows that each splat keeps and adds, and their number |
 //! | `new_splats` | the next rows, and the parameters of clones and halves |
 //!
-//! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the same of dynamic splats. All
-//! that is read back is how many there are.
+//! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the
+//! same of dynamic splats. All that is read back is how many there are.
 
 mod error_mask;
 mod gradient;

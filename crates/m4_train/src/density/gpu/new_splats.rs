@@ -1,5 +1,8 @@
 //! Writes the next rows, including clones and split halves.
-#![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
+#![expect(
+    clippy::collapsible_if,
+    reason = "kernels are expanded: conditions at compile time stand alone"
+)]
 
 use super::outcomes::{Outcomes, birth_of, stay_of};
 use crate::config::{CloneOpacity, SplitPlacement};
@@ -46,10 +49,15 @@ impl Rows {
             [fates.sizes, fates.places, sources, states, marks],
             [n as u32, splats.n_static as u32, splats.n_still() as u32]
         );
-        Self { sources, states, marks }
+        Self {
+            sources,
+            states,
+            marks,
+        }
     }
 
-    /// Makes clones and halves of the copies of their `parents` that `splats` has, whose row `first_free` is the first that is neither static nor bound.
+    /// Makes clones and halves of the copies of their `parents` that `splats` has, whose row
+    /// `first_free` is the first that is neither static nor bound.
     pub fn shape(
         &self,
         client: &Client,
@@ -59,13 +67,20 @@ impl Rows {
         round: &DensityRound<'_>,
     ) {
         let config = round.rules.config;
-        let [first, second] = [0, 1].map(|child| CounterRng::base(round.seed, child_purpose(round.iteration, child)));
+        let [first, second] =
+            [0, 1].map(|child| CounterRng::base(round.seed, child_purpose(round.iteration, child)));
         let words = |base: u64| ((base >> 32) as u32, base as u32);
         launch!(
             client,
             shape_new_splats::launch,
             (cubes(splats.n, 256), units()),
-            [self.marks, self.sources, parents.geometry, splats.geometry, splats.time],
+            [
+                self.marks,
+                self.sources,
+                parents.geometry,
+                splats.geometry,
+                splats.time
+            ],
             [
                 parents.n as u32,
                 splats.n as u32,
@@ -151,7 +166,9 @@ fn shape_new_splats(
                     low = second_low;
                 }
                 let key = key(&wide(high, low), row);
-                draw_child(parents, row, old, to, time, i, n, n_static, first_free, &key, isotropic);
+                draw_child(
+                    parents, row, old, to, time, i, n, n_static, first_free, &key, isotropic,
+                );
             } else {
                 let mut sign = 1.0f32;
                 if mark == OTHER_HALF {
@@ -164,7 +181,8 @@ fn shape_new_splats(
         if comptime!(share_opacity) {
             if mark == SHARES || (is_half && comptime!(!drawn)) {
                 let column = comptime!(if isotropic { 4u32 } else { 10u32 });
-                to[(column * n + i) as usize] = shared_opacity(parents[(column * old + row) as usize]);
+                to[(column * n + i) as usize] =
+                    shared_opacity(parents[(column * old + row) as usize]);
             }
         }
     }
@@ -186,7 +204,11 @@ fn draw_child(
     #[comptime] isotropic: bool,
 ) {
     let s = shape(parents, row, old, isotropic);
-    let local = v3(s.scale.x * normal(key, 0u32), s.scale.y * normal(key, 1u32), s.scale.z * normal(key, 2u32));
+    let local = v3(
+        s.scale.x * normal(key, 0u32),
+        s.scale.y * normal(key, 1u32),
+        s.scale.z * normal(key, 2u32),
+    );
     let shift = turned(&s, &local, isotropic);
     let mut x = shift.x;
     let mut y = shift.y;
@@ -215,7 +237,8 @@ fn draw_child(
 /// A vector of the splat's own axes, in the world; as it is where there is no rotation.
 #[cube]
 fn turned(s: &Shape, local: &V3, #[comptime] isotropic: bool) -> V3 {
-    // all three before any changes: a vector shares its numbers with the variables that it is made of
+    // all three before any changes: a vector shares its numbers with the variables that it is made
+    // of
     let (turned_x, turned_y, turned_z) = (dot(&s.r0, local), dot(&s.r1, local), dot(&s.r2, local));
     let mut x = local.x;
     let mut y = local.y;
@@ -230,7 +253,8 @@ fn turned(s: &Shape, local: &V3, #[comptime] isotropic: bool) -> V3 {
     v3(x, y, z)
 }
 
-/// 0.6 standard deviations along the longest axis, 0.8 as long there: `0.6^2 + 0.8^2 = 1`. A sphere is halved along a direction that is drawn, with its scale over 1.6.
+/// 0.6 standard deviations along the longest axis, 0.8 as long there: `0.6^2 + 0.8^2 = 1`. A sphere
+/// is halved along a direction that is drawn, with its scale over 1.6.
 #[cube]
 fn halve(
     parents: &[f32],
@@ -282,7 +306,8 @@ fn halve(
 /// The logit of `1 - sqrt(1 - o)`, given that of `o`.
 #[cube]
 fn shared_opacity(logit: f32) -> f32 {
-    // 1 - o in a form that is exact for large logits; beyond 80 it is nothing, and no exponential is infinite
+    // 1 - o in a form that is exact for large logits; beyond 80 it is nothing, and no exponential
+    // is infinite
     let pass = (1.0f32 / (1.0f32 + logit.min(80.0f32).exp())).sqrt();
     let o = (1.0f32 - pass).clamp(1.0e-6f32, 0.999_999f32);
     (o / (1.0f32 - o)).ln()

@@ -1,5 +1,9 @@
-//! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
-#![expect(clippy::collapsible_if, reason = "kernels are expanded: conditions at compile time stand alone")]
+//! The outcome of density control for each splat: the rows that it keeps and adds, and their
+//! totals.
+#![expect(
+    clippy::collapsible_if,
+    reason = "kernels are expanded: conditions at compile time stand alone"
+)]
 
 use crate::config::{LARGE_EXTENT, LARGE_PX, PruneRule, SplitSize};
 use crate::density::{DensityStats, Rules};
@@ -41,7 +45,11 @@ impl Outcomes {
             SplitSize::Pixels { pixels } => (pixels, false),
         };
         let prune_large = rules.due.prune_large;
-        let centres: &[[f32; 3]] = if everywhere && !prune_large { &[] } else { &scale.centres };
+        let centres: &[[f32; 3]] = if everywhere && !prune_large {
+            &[]
+        } else {
+            &scale.centres
+        };
         let blocks = n.div_ceil(256);
         let (sizes, places) = (Buffer::empty(client, 2 * n), Buffer::empty(client, 2 * n));
         let (parts, counts) = (Buffer::empty(client, blocks), Buffer::empty(client, 6));
@@ -49,7 +57,15 @@ impl Outcomes {
             client,
             decide::launch,
             (cubes(n, 256), units()),
-            [splats.geometry, grows, prune_scores, range, Buffer::floats(client, centres.as_flattened()), sizes, parts],
+            [
+                splats.geometry,
+                grows,
+                prune_scores,
+                range,
+                Buffer::floats(client, centres.as_flattened()),
+                sizes,
+                parts
+            ],
             [
                 n as u32,
                 splats.n_static as u32,
@@ -74,21 +90,43 @@ impl Outcomes {
             count_up::launch,
             (cubes(1, 1), units()),
             [parts, sizes, places, counts],
-            [blocks as u32, n as u32, splats.n_static as u32, splats.n_still() as u32]
+            [
+                blocks as u32,
+                n as u32,
+                splats.n_static as u32,
+                splats.n_still() as u32
+            ]
         );
-        Self { sizes, places, counts }
+        Self {
+            sizes,
+            places,
+            counts,
+        }
     }
 
-    /// Waits, and says how many were cloned, split and pruned, and how many splats and bound splats there are to be.
-    pub fn read(&self, client: &Client, doing: &'static str) -> Result<(DensityStats, usize, usize), GpuError> {
+    /// Waits, and says how many were cloned, split and pruned, and how many splats and bound splats
+    /// there are to be.
+    pub fn read(
+        &self,
+        client: &Client,
+        doing: &'static str,
+    ) -> Result<(DensityStats, usize, usize), GpuError> {
         let counts = self.counts.read_words(client, doing)?;
-        let [cloned, split, pruned, next, n_static, n_still] = [0, 1, 2, 3, 4, 5].map(|k: usize| counts[k] as usize);
-        let grown = DensityStats { cloned, split, pruned, n_static, n_dynamic: next - n_static };
+        let [cloned, split, pruned, next, n_static, n_still] =
+            [0, 1, 2, 3, 4, 5].map(|k: usize| counts[k] as usize);
+        let grown = DensityStats {
+            cloned,
+            split,
+            pruned,
+            n_static,
+            n_dynamic: next - n_static,
+        };
         Ok((grown, next, n_still - n_static))
     }
 }
 
-/// Where row `i` is among the numbers of those that stay; of the new ones it is as much farther as its kind has rows.
+/// Where row `i` is among the numbers of those that stay; of the new ones it is as much farther as
+/// its kind has rows.
 #[cube]
 pub(super) fn stay_of(i: u32, n_static: u32, n_still: u32) -> u32 {
     let mut stay = i;
@@ -118,7 +156,9 @@ pub(super) fn birth_of(i: u32, n: u32, n_static: u32, n_still: u32) -> u32 {
 fn largest(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> f32 {
     let mut log = geometry[(3u32 * n + i) as usize];
     if comptime!(!isotropic) {
-        log = log.max(geometry[(4u32 * n + i) as usize]).max(geometry[(5u32 * n + i) as usize]);
+        log = log
+            .max(geometry[(4u32 * n + i) as usize])
+            .max(geometry[(5u32 * n + i) as usize]);
     }
     log.exp()
 }
@@ -138,7 +178,8 @@ fn nearest(geometry: &[f32], centres: &[f32], count: u32, i: u32, n: u32) -> f32
     square.sqrt()
 }
 
-/// Clones, splits and prunes: prune scores are normalised and compared with the threshold (Minute4D Eq. 10).
+/// Clones, splits and prunes: prune scores are normalised and compared with the threshold (Minute4D
+/// Eq. 10).
 #[cube(launch)]
 fn decide(
     geometry: &[f32],

@@ -29,7 +29,8 @@ impl Rank {
         }
     }
 
-    /// 1 for the splats that are cloned or split, else 0: `[n]`. They are the `budget` best of those above `threshold`; ties go to the lower row.
+    /// 1 for the splats that are cloned or split, else 0: `[n]`. They are the `budget` best of
+    /// those above `threshold`; ties go to the lower row.
     pub fn best(&self, client: &Client, threshold: f32, budget: usize, scores: &Buffer) -> Buffer {
         let n = self.n as u32;
         if budget == 0 {
@@ -54,7 +55,8 @@ impl Rank {
         grows
     }
 
-    /// The scores that become 0 and 1; the second is not larger if nothing is to be pruned (Minute4D Eq. 10).
+    /// The scores that become 0 and 1; the second is not larger if nothing is to be pruned
+    /// (Minute4D Eq. 10).
     pub fn prune_range(&self, client: &Client, rule: PruneRule, scores: &Buffer) -> Buffer {
         let n = self.n as u32;
         let (literal, quantile) = match rule {
@@ -62,7 +64,13 @@ impl Rank {
             PruneRule::WithOpacity { quantile, .. } => (false, quantile.clamp(0.0, 1.0)),
         };
         let range = Buffer::empty(client, 2);
-        launch!(client, prune_keys::launch, (cubes(self.n, 256), units()), [scores, self.pairs.keys], [n, literal]);
+        launch!(
+            client,
+            prune_keys::launch,
+            (cubes(self.n, 256), units()),
+            [scores, self.pairs.keys],
+            [n, literal]
+        );
         let sorted = self.sort.run(client, &self.pairs, &self.count, 32);
         launch!(
             client,

@@ -10,8 +10,8 @@ use std::num::NonZero;
 
 /// A node carries what is within this many times the distance of nodes.
 const REACH: f32 = 4.0;
-/// Nodes that turn farther from the nearest than this, radians, at any keyframe are of another piece: a blend with them would shrink the surface (our
-/// rule; docs/decisions/0022).
+/// Nodes that turn farther from the nearest than this, radians, at any keyframe are of another
+/// piece: a blend with them would shrink the surface (our rule; docs/decisions/0022).
 const OTHER_TURN: f32 = 0.7;
 const MOST: NonZero<usize> = NonZero::new(BINDING_NODES).unwrap();
 
@@ -28,8 +28,8 @@ pub(crate) struct Carrier {
 }
 
 impl Carrier {
-    /// Of a place of keyframe `at` among nodes, `spacing` apart, that `motion` (`[keyframes][nodes]`) has brought to where `tree` knows them. `None` far
-    /// from all of them.
+    /// Of a place of keyframe `at` among nodes, `spacing` apart, that `motion`
+    /// (`[keyframes][nodes]`) has brought to where `tree` knows them. `None` far from all of them.
     pub fn new(
         tree: &ImmutableKdTree<f32, 3>,
         motion: &[Vec<Rigid>],
@@ -38,9 +38,14 @@ impl Carrier {
         spacing: f32,
     ) -> Option<Self> {
         let motions = &motion[at];
-        let mut near = tree.query(&p).nearest_n::<SquaredEuclidean<f32>>(MOST).execute();
+        let mut near = tree
+            .query(&p)
+            .nearest_n::<SquaredEuclidean<f32>>(MOST)
+            .execute();
         near.sort_by(|a, b| a.distance.total_cmp(&b.distance).then(a.item.cmp(&b.item)));
-        let nearest = near.first().filter(|n| n.distance <= (REACH * spacing).powi(2))?;
+        let nearest = near
+            .first()
+            .filter(|n| n.distance <= (REACH * spacing).powi(2))?;
         let (mut nodes, mut weights) = ([nearest.item as u16; BINDING_NODES], [0.0; BINDING_NODES]);
         for (k, n) in near.iter().enumerate().take(BINDING_NODES) {
             nodes[k] = n.item as u16;
@@ -65,7 +70,12 @@ impl Carrier {
         let mean = matrix.try_inverse()? * (Vector3::from(p) - shift);
         let length = turn.iter().map(|v| v * v).sum::<f32>().sqrt();
         let finite = mean.iter().all(|v| v.is_finite()) && length > 0.0;
-        finite.then_some(Self { nodes, weights, mean, turn: turn.map(|v| v / length) })
+        finite.then_some(Self {
+            nodes,
+            weights,
+            mean,
+            turn: turn.map(|v| v / length),
+        })
     }
 
     /// Where motions carry the point.
@@ -77,7 +87,9 @@ impl Carrier {
 /// Whether two nodes never turn apart by more than [`OTHER_TURN`].
 fn turn_alike(motion: &[Vec<Rigid>], a: usize, b: usize) -> bool {
     let least = (0.5 * OTHER_TURN).cos();
-    motion.iter().all(|nodes| nodes[a].rotation.dot(&nodes[b].rotation).abs() >= least)
+    motion
+        .iter()
+        .all(|nodes| nodes[a].rotation.dot(&nodes[b].rotation).abs() >= least)
 }
 
 /// Where motions of nodes carry a place.
@@ -87,7 +99,11 @@ pub(super) fn carried(
     weights: &[f32; BINDING_NODES],
     p: &Vector3<f32>,
 ) -> Vector3<f32> {
-    nodes.iter().zip(weights).map(|(&node, &w)| motions[usize::from(node)].moved(p) * w).sum()
+    nodes
+        .iter()
+        .zip(weights)
+        .map(|(&node, &w)| motions[usize::from(node)].moved(p) * w)
+        .sum()
 }
 
 #[cfg(test)]
@@ -97,14 +113,23 @@ mod tests {
     use kiddo::ImmutableKdTree;
     use m4_core::nalgebra::{UnitQuaternion, Vector3};
 
-    /// A row of four nodes 0.1 apart; the last two turn the other way about z, by up to `rad` at the second of two keyframes.
+    /// A row of four nodes 0.1 apart; the last two turn the other way about z, by up to `rad` at
+    /// the second of two keyframes.
     fn motion(rad: f32) -> (Vec<[f32; 3]>, Vec<Vec<Rigid>>) {
         let places: Vec<[f32; 3]> = (0..4).map(|k| [0.1 * k as f32, 0.0, 2.0]).collect();
         let key = |share: f32| {
             let turned = |(k, p): (usize, &[f32; 3])| {
-                let angle = if k < 2 { 0.5 * rad * share } else { -0.5 * rad * share };
+                let angle = if k < 2 {
+                    0.5 * rad * share
+                } else {
+                    -0.5 * rad * share
+                };
                 let rotation = UnitQuaternion::from_scaled_axis(Vector3::z() * angle);
-                Rigid { rotation, from: (*p).into(), to: (*p).into() }
+                Rigid {
+                    rotation,
+                    from: (*p).into(),
+                    to: (*p).into(),
+                }
             };
             places.iter().enumerate().map(turned).collect()
         };
@@ -120,15 +145,29 @@ mod tests {
             for at in [0, 1] {
                 let p = [0.13, 0.02, 2.0];
                 let carrier = Carrier::new(&tree, &motion, at, p, 0.1).unwrap();
-                let others = carrier.nodes.iter().zip(carrier.weights).filter(|(node, _)| **node > 1);
+                let others = carrier
+                    .nodes
+                    .iter()
+                    .zip(carrier.weights)
+                    .filter(|(node, _)| **node > 1);
                 assert_eq!(others.map(|(_, w)| w).sum::<f32>() > 0.1, together);
                 assert!((carrier.weights.iter().sum::<f32>() - 1.0).abs() < 1e-6);
-                assert!((carrier.place(&motion[at]) - Vector3::from(p)).norm() < 1e-5, "it is back where it is");
-                assert!((carrier.mean - Vector3::from(p)).norm() < 0.2, "{:?}", carrier.mean);
+                assert!(
+                    (carrier.place(&motion[at]) - Vector3::from(p)).norm() < 1e-5,
+                    "it is back where it is"
+                );
+                assert!(
+                    (carrier.mean - Vector3::from(p)).norm() < 0.2,
+                    "{:?}",
+                    carrier.mean
+                );
             }
         }
         let (places, motion) = motion(0.0);
         let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&places).unwrap();
-        assert!(Carrier::new(&tree, &motion, 0, [0.0, 1.0, 2.0], 0.1).is_none(), "far from all");
+        assert!(
+            Carrier::new(&tree, &motion, 0, [0.0, 1.0, 2.0], 0.1).is_none(),
+            "far from all"
+        );
     }
 }

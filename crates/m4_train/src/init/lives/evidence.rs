@@ -3,7 +3,8 @@
 use crate::init::motion::Observed;
 use m4_core::{RgbImage, nalgebra::Vector3};
 
-/// A point is shown where the image has its colour within this many widths (measured, as the next two: docs/decisions/0022), or in the nearest pixel.
+/// A point is shown where the image has its colour within this many widths (measured, as the next
+/// two: docs/decisions/0022), or in the nearest pixel.
 const NEAR_WIDTHS: f32 = 0.003;
 /// The centre of the nearest pixel is within this many pixels.
 const NEAREST_PX: f32 = 0.71;
@@ -34,7 +35,11 @@ pub(super) struct Shown<'a> {
 impl<'a> Shown<'a> {
     /// `depth_noise` is the standard deviation of depth, as a share of it.
     pub fn new(observed: &'a Observed, rgb: &'a RgbImage, depth_noise: f32) -> Self {
-        Self { observed, rgb, depth_step: DEPTH_STEP.0.max(DEPTH_STEP.1 * depth_noise) }
+        Self {
+            observed,
+            rgb,
+            depth_step: DEPTH_STEP.0.max(DEPTH_STEP.1 * depth_noise),
+        }
     }
 
     /// Pixels, columns and rows.
@@ -44,14 +49,20 @@ impl<'a> Shown<'a> {
 
     /// What the frame says of a place of colour `rgb` (0..1).
     pub fn evidence(&self, p: &Vector3<f32>, rgb: [f32; 3]) -> Evidence {
-        let Some(projected) = self.observed.project(p) else { return Evidence::Hidden };
+        let Some(projected) = self.observed.project(p) else {
+            return Evidence::Hidden;
+        };
         let z = projected.point[2];
-        let Some(depth) = self.observed.depth(projected.at) else { return Evidence::Hidden };
+        let Some(depth) = self.observed.depth(projected.at) else {
+            return Evidence::Hidden;
+        };
         let (width, height) = self.size();
         let radius = (NEAR_WIDTHS * width as f32).max(NEAREST_PX);
         let mut nearest: Option<(f32, [f32; 3])> = None;
         for (x, y) in around(projected.at, radius, (width, height)) {
-            let Some(d) = self.observed.dynamic_depth((x, y)) else { continue };
+            let Some(d) = self.observed.dynamic_depth((x, y)) else {
+                continue;
+            };
             if (d - z).abs() > self.depth_step * z {
                 continue;
             }
@@ -81,7 +92,10 @@ pub(super) fn around(
     };
     let columns = range(u, width);
     range(v, height).flat_map(move |y| {
-        columns.clone().filter(move |&x| (x as f32 - u).hypot(y as f32 - v) <= radius).map(move |x| (x, y))
+        columns
+            .clone()
+            .filter(move |&x| (x as f32 - u).hypot(y as f32 - v) <= radius)
+            .map(move |x| (x, y))
     })
 }
 
@@ -93,14 +107,24 @@ mod tests {
 
     const SIZE: (usize, usize) = (100, 60);
 
-    /// A red dynamic square at depth 2 before a grey static wall at depth 4; nothing is known of the right edge.
+    /// A red dynamic square at depth 2 before a grey static wall at depth 4; nothing is known of
+    /// the right edge.
     fn frame() -> CaptureFrame {
         let square = |x: usize, y: usize| (40..60).contains(&x) && (20..40).contains(&y);
         CaptureFrame {
             name: String::new(),
-            camera: Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 100.0), c2w: Se3::identity() },
+            camera: Camera {
+                intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 100.0),
+                c2w: Se3::identity(),
+            },
             t: 0.0,
-            rgb: Plane::from_fn(SIZE.0, SIZE.1, |x, y| if square(x, y) { [200, 20, 20] } else { [128; 3] }),
+            rgb: Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
+                if square(x, y) {
+                    [200, 20, 20]
+                } else {
+                    [128; 3]
+                }
+            }),
             depth: Some(
                 Plane::from_fn(SIZE.0, SIZE.1, |x, y| match x {
                     95.. => 0.0,
@@ -128,14 +152,46 @@ mod tests {
         let red = [0.78, 0.08, 0.08];
         let told = |x, y, z, rgb| shown.evidence(&at(x, y, z), rgb);
         assert!(matches!(told(50.0, 30.0, 2.0, red), Evidence::Shown(rgb) if rgb[0] > 0.7));
-        assert_eq!(told(50.0, 30.0, 2.0, [0.1, 0.8, 0.1]), Evidence::Contradicted, "another colour");
-        assert_eq!(told(50.0, 30.0, 3.0, red), Evidence::Hidden, "behind the square");
-        assert_eq!(told(50.0, 30.0, 1.5, red), Evidence::Contradicted, "before the square");
-        assert_eq!(told(20.0, 30.0, 2.0, red), Evidence::Contradicted, "before the wall");
-        assert_eq!(told(20.0, 30.0, 4.0, [0.5; 3]), Evidence::Contradicted, "on the wall, which is static");
-        assert_eq!(told(97.0, 30.0, 2.0, red), Evidence::Hidden, "depth is unknown");
-        assert_eq!(told(150.0, 30.0, 2.0, red), Evidence::Hidden, "outside the image");
-        assert_eq!(shown.evidence(&Vector3::new(0.0, 0.0, -1.0), red), Evidence::Hidden, "behind the camera");
+        assert_eq!(
+            told(50.0, 30.0, 2.0, [0.1, 0.8, 0.1]),
+            Evidence::Contradicted,
+            "another colour"
+        );
+        assert_eq!(
+            told(50.0, 30.0, 3.0, red),
+            Evidence::Hidden,
+            "behind the square"
+        );
+        assert_eq!(
+            told(50.0, 30.0, 1.5, red),
+            Evidence::Contradicted,
+            "before the square"
+        );
+        assert_eq!(
+            told(20.0, 30.0, 2.0, red),
+            Evidence::Contradicted,
+            "before the wall"
+        );
+        assert_eq!(
+            told(20.0, 30.0, 4.0, [0.5; 3]),
+            Evidence::Contradicted,
+            "on the wall, which is static"
+        );
+        assert_eq!(
+            told(97.0, 30.0, 2.0, red),
+            Evidence::Hidden,
+            "depth is unknown"
+        );
+        assert_eq!(
+            told(150.0, 30.0, 2.0, red),
+            Evidence::Hidden,
+            "outside the image"
+        );
+        assert_eq!(
+            shown.evidence(&Vector3::new(0.0, 0.0, -1.0), red),
+            Evidence::Hidden,
+            "behind the camera"
+        );
     }
 
     #[test]
@@ -145,8 +201,14 @@ mod tests {
         let p = frame.camera.unproject(50.0, 30.0, 1.95);
         let p = Vector3::new(p.x as f32, p.y as f32, p.z as f32);
         let red = [0.78, 0.08, 0.08];
-        assert_eq!(Shown::new(&observed, &frame.rgb, 0.004).evidence(&p, red), Evidence::Contradicted);
-        assert!(matches!(Shown::new(&observed, &frame.rgb, 0.02).evidence(&p, red), Evidence::Shown(_)));
+        assert_eq!(
+            Shown::new(&observed, &frame.rgb, 0.004).evidence(&p, red),
+            Evidence::Contradicted
+        );
+        assert!(matches!(
+            Shown::new(&observed, &frame.rgb, 0.02).evidence(&p, red),
+            Evidence::Shown(_)
+        ));
     }
 
     #[test]

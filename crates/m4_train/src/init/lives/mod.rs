@@ -1,4 +1,5 @@
-//! Dynamic splats that live as long as what frames show agrees with their motion (docs/spec/scaffold.md 4).
+//! Dynamic splats that live as long as what frames show agrees with their motion
+//! (docs/spec/scaffold.md 4).
 //!
 //! ```text
 //! windows of time -> nodes and their motion (motion::WindowMotion)
@@ -31,7 +32,8 @@ const WINDOW_S: f64 = 0.7;
 const LEAST_KEYS: usize = 5;
 /// Frames a second of a clip that does not tell its duration.
 const FRAMES_A_SECOND: f64 = 24.0;
-/// A change of colour is believed as if the splat had been seen unchanged this long after its birth, seconds.
+/// A change of colour is believed as if the splat had been seen unchanged this long after its
+/// birth, seconds.
 const UNCHANGED_S: f64 = 1.0 / 12.0;
 
 /// A point of a keyframe that becomes a splat bound to nodes.
@@ -64,7 +66,10 @@ impl Lives {
         Self {
             windows: Vec::new(),
             bound: vec![Vec::new(); dynamic.len()],
-            free: dynamic.iter().map(|(_, points)| (0..points.xyz.len() as u32).collect()).collect(),
+            free: dynamic
+                .iter()
+                .map(|(_, points)| (0..points.xyz.len() as u32).collect())
+                .collect(),
         }
     }
 }
@@ -98,7 +103,9 @@ impl Clip<'_> {
     /// Frames a second.
     pub fn rate(&self) -> f64 {
         match self.capture.duration_s {
-            Some(seconds) if seconds > 0.0 => (self.capture.time_frames.max(2) - 1) as f64 / seconds,
+            Some(seconds) if seconds > 0.0 => {
+                (self.capture.time_frames.max(2) - 1) as f64 / seconds
+            }
             _ => FRAMES_A_SECOND,
         }
     }
@@ -106,29 +113,45 @@ impl Clip<'_> {
     /// The keyframes of each window.
     pub fn spans(&self) -> Vec<Range<usize>> {
         let n = self.dynamic.len();
-        let (Some(first), Some(last)) = (self.dynamic.first(), self.dynamic.last()) else { return Vec::new() };
+        let (Some(first), Some(last)) = (self.dynamic.first(), self.dynamic.last()) else {
+            return Vec::new();
+        };
         let seconds = (last.0 - first.0) / self.rate();
         let count = ((seconds / WINDOW_S).round() as usize).clamp(1, (n / LEAST_KEYS).max(1));
-        (0..count).map(|w| w * n / count..(w + 1) * n / count).collect()
+        (0..count)
+            .map(|w| w * n / count..(w + 1) * n / count)
+            .collect()
     }
 
-    /// What `of` makes of the motion of nodes in the keyframes `keys`; `None` where nothing is known of it.
+    /// What `of` makes of the motion of nodes in the keyframes `keys`; `None` where nothing is
+    /// known of it.
     pub fn span<R>(&self, keys: Range<usize>, of: impl FnOnce(&Span<'_>) -> R) -> Option<R> {
         let dynamic = &self.dynamic[keys.clone()];
-        let frames: Vec<_> = self.frames[keys.clone()].iter().map(|&frame| &self.capture.frames[frame]).collect();
-        let observed: Vec<Option<Observed>> = frames.par_iter().map(|frame| Observed::new(frame)).collect();
+        let frames: Vec<_> = self.frames[keys.clone()]
+            .iter()
+            .map(|&frame| &self.capture.frames[frame])
+            .collect();
+        let observed: Vec<Option<Observed>> = frames
+            .par_iter()
+            .map(|frame| Observed::new(frame))
+            .collect();
         let times: Vec<f64> = dynamic.iter().map(|(t, _)| *t).collect();
         let fields = &self.fields[keys.start.min(self.fields.len())..];
         let nodes = WindowMotion::new(&observed, &times, reference(dynamic), fields, self.rate())?;
         let shown = frames.iter().zip(&observed);
-        let shown = shown.map(|(frame, o)| o.as_ref().map(|o| Shown::new(o, &frame.rgb, nodes.depth_noise())));
+        let shown = shown.map(|(frame, o)| {
+            o.as_ref()
+                .map(|o| Shown::new(o, &frame.rgb, nodes.depth_noise()))
+        });
         let edge = |inside: usize, outside: Option<&(f64, Centroids)>, open: f32| match outside {
             Some((t, _)) => (0.5 * (times[inside] + t)) as f32,
             None => open,
         };
         let before = keys.start.checked_sub(1).and_then(|k| self.dynamic.get(k));
-        let ends =
-            [edge(0, before, f32::NEG_INFINITY), edge(times.len() - 1, self.dynamic.get(keys.end), f32::INFINITY)];
+        let ends = [
+            edge(0, before, f32::NEG_INFINITY),
+            edge(times.len() - 1, self.dynamic.get(keys.end), f32::INFINITY),
+        ];
         Some(of(&Span {
             keys: keys.clone(),
             times: times.iter().map(|&t| t as f32).collect(),
@@ -146,19 +169,31 @@ impl Lives {
     fn window(&mut self, span: &Span<'_>, dynamic: &[(f64, Centroids)]) {
         // keyframes of one instant, from other cameras, have one key
         let times = &span.times;
-        let instants: Vec<usize> = (0..times.len()).filter(|&k| k == 0 || times[k] > times[k - 1]).collect();
+        let instants: Vec<usize> = (0..times.len())
+            .filter(|&k| k == 0 || times[k] > times[k - 1])
+            .collect();
         let pose = |m: &Rigid| {
             let q = m.rotation;
-            Pose { rotation: [q.w, q.i, q.j, q.k], position: m.to.into() }
+            Pose {
+                rotation: [q.w, q.i, q.j, q.k],
+                position: m.to.into(),
+            }
         };
-        let poses = instants.iter().flat_map(|&k| span.nodes.motion[k].iter().map(pose)).collect();
+        let poses = instants
+            .iter()
+            .flat_map(|&k| span.nodes.motion[k].iter().map(pose))
+            .collect();
         let at = instants.iter().map(|&k| times[k]).collect();
-        let Ok(window) = Window::new(at, span.nodes.nodes.clone(), poses) else { return };
+        let Ok(window) = Window::new(at, span.nodes.nodes.clone(), poses) else {
+            return;
+        };
         let index = self.windows.len() as u32;
         let mut splats: Vec<(Binding, Vector3<f32>)> = Vec::new();
         for at in bisecting(times.len()) {
             let key = span.keys.start + at;
-            let Some((bound, free)) = span.born(index, at, &dynamic[key].1, &splats) else { continue };
+            let Some((bound, free)) = span.born(index, at, &dynamic[key].1, &splats) else {
+                continue;
+            };
             splats.extend(bound.iter().map(|b| (b.binding, Vector3::from(b.mean))));
             (self.bound[key], self.free[key]) = (bound, free);
         }
@@ -181,7 +216,10 @@ fn reference(dynamic: &[(f64, Centroids)]) -> usize {
         let off = (2 * k + 1).abs_diff(n) as f32 / n as f32;
         dynamic[k].1.xyz.len() as f32 * (1.0 - 0.8 * off)
     };
-    (0..n).rev().max_by(|&a, &b| worth(a).total_cmp(&worth(b))).unwrap_or(0)
+    (0..n)
+        .rev()
+        .max_by(|&a, &b| worth(a).total_cmp(&worth(b)))
+        .unwrap_or(0)
 }
 
 /// The middle first, then the ends, then halves of halves.
@@ -189,7 +227,11 @@ fn bisecting(n: usize) -> Vec<usize> {
     let mut order = vec![n / 2, 0, n.saturating_sub(1)];
     let mut step = n as f64 / 4.0;
     while step >= 0.5 {
-        order.extend((1..).map(|k| (f64::from(k) * step) as usize).take_while(|&k| k < n));
+        order.extend(
+            (1..)
+                .map(|k| (f64::from(k) * step) as usize)
+                .take_while(|&k| k < n),
+        );
         step /= 2.0;
     }
     order.extend(0..n);
@@ -214,7 +256,8 @@ pub(crate) struct Span<'a> {
 }
 
 impl Span<'_> {
-    /// Bound and free points of keyframe `at` where no splat of `splats` lives; `None` if nothing is known of the keyframe.
+    /// Bound and free points of keyframe `at` where no splat of `splats` lives; `None` if nothing
+    /// is known of the keyframe.
     fn born(
         &self,
         window: u32,
@@ -225,18 +268,38 @@ impl Span<'_> {
         let (here, motions) = (self.shown[at].as_ref()?, &self.nodes.motion[at]);
         let tree = self.tree(at)?;
         let covered = covered(here, splats, motions, self.times[at], points);
-        let born = (0..points.xyz.len() as u32).into_par_iter().filter(|&i| !covered[i as usize]);
+        let born = (0..points.xyz.len() as u32)
+            .into_par_iter()
+            .filter(|&i| !covered[i as usize]);
         let born: Vec<(u32, Option<Bound>)> = born
             .map(|i| {
-                let bound = self.carrier(&tree, at, points.xyz[i as usize]).and_then(|carrier| {
-                    let Life { life, trend } = self.life(at, points.rgb[i as usize], &carrier)?;
-                    let binding = Binding { window, nodes: carrier.nodes, weights: carrier.weights, life };
-                    Some(Bound { point: i, binding, mean: carrier.mean.into(), turn: carrier.turn, trend })
-                });
+                let bound = self
+                    .carrier(&tree, at, points.xyz[i as usize])
+                    .and_then(|carrier| {
+                        let Life { life, trend } =
+                            self.life(at, points.rgb[i as usize], &carrier)?;
+                        let binding = Binding {
+                            window,
+                            nodes: carrier.nodes,
+                            weights: carrier.weights,
+                            life,
+                        };
+                        Some(Bound {
+                            point: i,
+                            binding,
+                            mean: carrier.mean.into(),
+                            turn: carrier.turn,
+                            trend,
+                        })
+                    });
                 (i, bound)
             })
             .collect();
-        let free = born.iter().filter(|(_, bound)| bound.is_none()).map(|(i, _)| *i).collect();
+        let free = born
+            .iter()
+            .filter(|(_, bound)| bound.is_none())
+            .map(|(i, _)| *i)
+            .collect();
         Some((born.iter().filter_map(|(_, bound)| *bound).collect(), free))
     }
 
@@ -247,21 +310,36 @@ impl Span<'_> {
     }
 
     /// What carries a place of keyframe `at`, whose nodes `tree` finds.
-    pub fn carrier(&self, tree: &ImmutableKdTree<f32, 3>, at: usize, p: [f32; 3]) -> Option<Carrier> {
+    pub fn carrier(
+        &self,
+        tree: &ImmutableKdTree<f32, 3>,
+        at: usize,
+        p: [f32; 3],
+    ) -> Option<Carrier> {
         Carrier::new(tree, &self.nodes.motion, at, p, self.nodes.spacing())
     }
 
-    /// Follows a point of keyframe `at` both ways until a frame contradicts it. `None` where the next frames on both sides do.
+    /// Follows a point of keyframe `at` both ways until a frame contradicts it. `None` where the
+    /// next frames on both sides do.
     pub fn life(&self, at: usize, rgb: [f32; 3], carrier: &Carrier) -> Option<Life> {
         let (mut life, mut carried) = (self.ends, false);
         let (mut slope, mut squares) = ([0.0f32; 3], self.unchanged * self.unchanged);
         for ahead in [true, false] {
             let mut last = at;
             loop {
-                let next = if ahead { last + 1 } else { last.wrapping_sub(1) };
-                let Some(shown) = self.shown.get(next) else { break };
+                let next = if ahead {
+                    last + 1
+                } else {
+                    last.wrapping_sub(1)
+                };
+                let Some(shown) = self.shown.get(next) else {
+                    break;
+                };
                 let place = carrier.place(&self.nodes.motion[next]);
-                match shown.as_ref().map_or(Evidence::Hidden, |shown| shown.evidence(&place, rgb)) {
+                match shown
+                    .as_ref()
+                    .map_or(Evidence::Hidden, |shown| shown.evidence(&place, rgb))
+                {
                     Evidence::Contradicted => {
                         life[usize::from(ahead)] = 0.5 * (self.times[last] + self.times[next]);
                         break;
@@ -277,6 +355,9 @@ impl Span<'_> {
                 last = next;
             }
         }
-        carried.then(|| Life { life, trend: slope.map(|s| s / squares.max(f32::MIN_POSITIVE)) })
+        carried.then(|| Life {
+            life,
+            trend: slope.map(|s| s / squares.max(f32::MIN_POSITIVE)),
+        })
     }
 }

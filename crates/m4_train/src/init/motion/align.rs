@@ -15,13 +15,16 @@ const ALIKE: f32 = 5.0;
 const OUTLIER: f32 = 3.0;
 /// A point behind the surface by more than this many times the noise of depth is hidden.
 const HIDDEN: f32 = 6.0;
-/// Neighbours whose motions differ by this many times what is usual are of another piece: they count half.
+/// Neighbours whose motions differ by this many times what is usual are of another piece: they
+/// count half.
 const ANOTHER_PIECE: f32 = 2.0;
-/// A step turns by this at most, radians, and shifts by this at most, pixels: slopes hold no farther.
+/// A step turns by this at most, radians, and shifts by this at most, pixels: slopes hold no
+/// farther.
 const LONGEST: (f32, f32) = (0.3, 3.0);
 /// Points that weigh less than this are left out.
 const LEAST: f32 = 0.02;
-/// How much of a piece counts: the fall of weights with the distance from its node, and the step over its points.
+/// How much of a piece counts: the fall of weights with the distance from its node, and the step
+/// over its points.
 pub(crate) type Extent = (f32, usize);
 pub(super) const WIDE: Extent = (1.0, 2);
 pub(super) const NARROW: Extent = (4.0, 2);
@@ -58,12 +61,21 @@ pub(crate) struct Prior {
     pub step_px: f32,
 }
 
-/// Moves every node of `pieces` from its `guess` so that its points look in `frame` as they do in their own.
+/// Moves every node of `pieces` from its `guess` so that its points look in `frame` as they do in
+/// their own.
 ///
-/// A node minimises the squared differences of measures and depth at its points and the distances of its motion from those of its neighbours (as
-/// rigid as possible, robust, so that joints bend); steps are damped (Levenberg-Marquardt), so that what nothing tells keeps its guess. `rounds` tells how wide pieces are in each round. All nodes take a step from the same
-/// state: the result does not depend on the number of threads.
-pub(crate) fn align(pieces: &Pieces, frame: &Observed, guess: &[Rigid], prior: Prior, rounds: &[Extent]) -> Vec<Rigid> {
+/// A node minimises the squared differences of measures and depth at its points and the distances
+/// of its motion from those of its neighbours (as rigid as possible, robust, so that joints bend);
+/// steps are damped (Levenberg-Marquardt), so that what nothing tells keeps its guess. `rounds`
+/// tells how wide pieces are in each round. All nodes take a step from the same state: the result
+/// does not depend on the number of threads.
+pub(crate) fn align(
+    pieces: &Pieces,
+    frame: &Observed,
+    guess: &[Rigid],
+    prior: Prior,
+    rounds: &[Extent],
+) -> Vec<Rigid> {
     let mut motion = guess.to_vec();
     for &extent in rounds {
         motion = (0..pieces.nodes.len())
@@ -90,7 +102,11 @@ pub(super) struct Moved<'a> {
 
 impl<'a> Moved<'a> {
     pub fn new(node: &'a Node, motion: &'a Rigid) -> Self {
-        Self { node, motion, place: motion.moved(&node.place) }
+        Self {
+            node,
+            motion,
+            place: motion.moved(&node.place),
+        }
     }
 
     /// World units of a pixel there.
@@ -113,9 +129,14 @@ impl Fit {
         self.visible += weight;
     }
 
-    /// Returns the mean squared difference over its noise, [`OUTLIER`] squared at most and where nothing is visible.
+    /// Returns the mean squared difference over its noise, [`OUTLIER`] squared at most and where
+    /// nothing is visible.
     pub fn misfit(&self) -> f32 {
-        if self.visible > 0.0 { self.squares / self.visible } else { OUTLIER * OUTLIER }
+        if self.visible > 0.0 {
+            self.squares / self.visible
+        } else {
+            OUTLIER * OUTLIER
+        }
     }
 
     /// Returns the share of the points that the frame shows.
@@ -134,14 +155,20 @@ pub(super) struct Sums {
 }
 
 impl Sums {
-    /// Adds the squares `(r + g . (shift + turn x arm))^2`, summed to `outer = sum w g g^T` and `along = sum w r g`.
+    /// Adds the squares `(r + g . (shift + turn x arm))^2`, summed to `outer = sum w g g^T` and
+    /// `along = sum w r g`.
     #[inline]
     fn add(&mut self, outer: &Matrix3<f32>, along: &Vector3<f32>, arm: &Vector3<f32>) {
         // [arm]x outer and [arm]x outer [arm]x^T, without the zeros of the cross matrix
         let [x, y, z] = [arm.x, arm.y, arm.z];
         let o = |i: usize, j: usize| outer[(i, j)];
-        let turned: [[f32; 3]; 3] =
-            std::array::from_fn(|j| [y * o(2, j) - z * o(1, j), z * o(0, j) - x * o(2, j), x * o(1, j) - y * o(0, j)]);
+        let turned: [[f32; 3]; 3] = std::array::from_fn(|j| {
+            [
+                y * o(2, j) - z * o(1, j),
+                z * o(0, j) - x * o(2, j),
+                x * o(1, j) - y * o(0, j),
+            ]
+        });
         self.h[0] += outer;
         for i in 0..3 {
             let t = turned.map(|column| column[i]);
@@ -174,8 +201,12 @@ impl Sums {
             fit.all += near;
             let point = &pieces.points[k as usize];
             let place = now.motion.moved(&point.place);
-            let Some(projected) = frame.project(&place) else { continue };
-            let Some(sample) = frame.sample(projected.at) else { continue };
+            let Some(projected) = frame.project(&place) else {
+                continue;
+            };
+            let Some(sample) = frame.sample(projected.at) else {
+                continue;
+            };
             let noise = depth * projected.point[2];
             let behind = (sample.depth - projected.point[2]) / noise;
             let has_depth = sample.depth > 0.0;
@@ -187,7 +218,8 @@ impl Sums {
                 weight *= trust(behind * behind);
             }
             let [du, dv, dz] = frame.jacobian(&projected);
-            let off: [f32; 3] = std::array::from_fn(|c| (sample.measures[c] - point.measures[c]) / MEASURE);
+            let off: [f32; 3] =
+                std::array::from_fn(|c| (sample.measures[c] - point.measures[c]) / MEASURE);
             let square = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]) / 3.0;
             let of_measures = weight * trust(square) / 3.0;
             fit.add(near, square + if has_depth { behind * behind } else { 0.0 });
@@ -222,8 +254,11 @@ impl Sums {
         let noise = prior.apart_px * now.pixel(frame);
         for &j in near {
             let off = corners(pieces, now, &motion[j as usize]);
-            let square = off.iter().map(|(off, _)| off.norm_squared()).sum::<f32>() / (4.0 * noise * noise);
-            let weight = 0.5 / (near.len() as f32 * noise * noise) / (1.0 + square / (ANOTHER_PIECE * ANOTHER_PIECE));
+            let square =
+                off.iter().map(|(off, _)| off.norm_squared()).sum::<f32>() / (4.0 * noise * noise);
+            let weight = 0.5
+                / (near.len() as f32 * noise * noise)
+                / (1.0 + square / (ANOTHER_PIECE * ANOTHER_PIECE));
             self.corners(&off, weight);
         }
     }
@@ -256,27 +291,43 @@ impl Sums {
         let covariance: Matrix3<f64> = self.matrix().try_inverse()?.fixed_view::<3, 3>(0, 0).into();
         let covariance = covariance.cast::<f32>();
         let [du, dv, _] = frame.jacobian(&projected);
-        Some((du.dot(&(covariance * du)) + dv.dot(&(covariance * dv))).max(0.0).sqrt())
+        Some(
+            (du.dot(&(covariance * du)) + dv.dot(&(covariance * dv)))
+                .max(0.0)
+                .sqrt(),
+        )
     }
 
     /// The motion after the step that the sums ask for.
     pub fn step(&self, now: &Moved<'_>, frame: &Observed) -> Rigid {
         let [a, b] = self.b;
-        let Some(cholesky) = self.matrix().cholesky() else { return *now.motion };
-        let step = cholesky.solve(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z).cast::<f64>()).cast::<f32>();
+        let Some(cholesky) = self.matrix().cholesky() else {
+            return *now.motion;
+        };
+        let step = cholesky
+            .solve(&Vector6::new(a.x, a.y, a.z, b.x, b.y, b.z).cast::<f64>())
+            .cast::<f32>();
         let limited = |v: Vector3<f32>, most: f32| v * (most / v.norm().max(most));
         let turn = limited(Vector3::new(step[3], step[4], step[5]), LONGEST.0);
-        let shift = limited(Vector3::new(step[0], step[1], step[2]), LONGEST.1 * now.pixel(frame));
+        let shift = limited(
+            Vector3::new(step[0], step[1], step[2]),
+            LONGEST.1 * now.pixel(frame),
+        );
         if !(turn.norm().is_finite() && shift.norm().is_finite()) {
             return *now.motion;
         }
         let mut rotation = UnitQuaternion::from_scaled_axis(turn) * now.motion.rotation;
         rotation.renormalize_fast();
-        Rigid { rotation, from: now.node.place, to: now.place + shift }
+        Rigid {
+            rotation,
+            from: now.node.place,
+            to: now.place + shift,
+        }
     }
 }
 
-/// How far two motions take the node, and three corners beside it, apart; and the arms of the corners.
+/// How far two motions take the node, and three corners beside it, apart; and the arms of the
+/// corners.
 fn corners(pieces: &Pieces, now: &Moved<'_>, other: &Rigid) -> [(Vector3<f32>, Vector3<f32>); 4] {
     let axes = [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()];
     axes.map(|axis| {

@@ -16,7 +16,8 @@ const LOOSE: (f32, f32) = (3.0, 15.0);
 pub(crate) struct Signs {
     /// Formal standard deviation of the place in the image, pixels.
     pub formal_px: f32,
-    /// Squared difference of measures and depth at its points over their noise, large ones counting less.
+    /// Squared difference of measures and depth at its points over their noise, large ones counting
+    /// less.
     pub misfit: f32,
     /// Share of its points that the frame shows.
     pub visible: f32,
@@ -27,7 +28,12 @@ pub(crate) struct Signs {
 }
 
 /// Collects the signs of each node that `motion` has brought to `frame`.
-pub(crate) fn signs(pieces: &Pieces, frame: &Observed, motion: &[Rigid], prior: Prior) -> Vec<Signs> {
+pub(crate) fn signs(
+    pieces: &Pieces,
+    frame: &Observed,
+    motion: &[Rigid],
+    prior: Prior,
+) -> Vec<Signs> {
     let one = |i: usize| {
         let now = Moved::new(&pieces.nodes[i], &motion[i]);
         let mut sums = Sums::default();
@@ -37,10 +43,15 @@ pub(crate) fn signs(pieces: &Pieces, frame: &Observed, motion: &[Rigid], prior: 
         sums.damp(pieces, &now, frame, prior);
         let pixel = now.pixel(frame);
         let step_px = (sums.step(&now, frame).to - now.place).norm() / pixel;
-        let wide = Prior { apart_px: LOOSE.0 * prior.apart_px, step_px: LOOSE.1 * prior.step_px, ..prior };
+        let wide = Prior {
+            apart_px: LOOSE.0 * prior.apart_px,
+            step_px: LOOSE.1 * prior.step_px,
+            ..prior
+        };
         loose.neighbours(pieces, i, &now, frame, motion, wide);
         loose.damp(pieces, &now, frame, wide);
-        let away = |&j: &u32| (motion[j as usize].moved(&now.node.place) - now.place).norm() / pixel;
+        let away =
+            |&j: &u32| (motion[j as usize].moved(&now.node.place) - now.place).norm() / pixel;
         let mut apart: Vec<f32> = now.node.near.iter().map(away).collect();
         Signs {
             formal_px: loose.deviation(&now, frame).unwrap_or(wide.step_px),
@@ -57,13 +68,15 @@ pub(crate) fn signs(pieces: &Pieces, frame: &Observed, motion: &[Rigid], prior: 
 pub(crate) const UNIT_WIDTH: f32 = 480.0;
 
 impl Signs {
-    /// Returns the standard deviation of the place beside that on the reference keyframe, pixels of an image [`UNIT_WIDTH`] wide; that of the frame is `width`. A product of powers
-    /// of the signs, fitted so that two of three errors on six scenes are smaller; on others it is too small (docs/decisions/0022, docs/results.md). From one keyframe to another, variances
-    /// add.
+    /// Returns the standard deviation of the place beside that on the reference keyframe, pixels of
+    /// an image [`UNIT_WIDTH`] wide; that of the frame is `width`. A product of powers of the
+    /// signs, fitted so that two of three errors on six scenes are smaller; on others it is too
+    /// small (docs/decisions/0022, docs/results.md). From one keyframe to another, variances add.
     pub fn deviation(&self, width: f32) -> f32 {
         let unit = UNIT_WIDTH / width;
         let power = |value: f32, least: f32, power: f32| power * (value + least).ln();
-        let log = 1.81 + power(self.formal_px * unit, 0.05, 0.57) + power(self.misfit, 0.1, 0.57) - 0.54 * self.visible
+        let log = 1.81 + power(self.formal_px * unit, 0.05, 0.57) + power(self.misfit, 0.1, 0.57)
+            - 0.54 * self.visible
             + power(self.apart_px * unit, 0.05, 0.49)
             + power(self.step_px * unit, 0.02, 0.3);
         log.exp()

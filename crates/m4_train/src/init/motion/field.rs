@@ -33,7 +33,8 @@ pub(crate) struct Fields {
     pub backward: Field,
 }
 
-/// Motions between every keyframe and the next; refined by `tracks`. Fails with [`InitError::Stopped`].
+/// Motions between every keyframe and the next; refined by `tracks`. Fails with
+/// [`InitError::Stopped`].
 pub(crate) fn fields(
     keyframes: &[View<'_>],
     tracks: Option<KeyframeTracks<'_>>,
@@ -47,16 +48,39 @@ pub(crate) fn fields(
     // Motion continues: the last one is a good first guess.
     let forward = |last: Option<&Field>, (i, from): (usize, &Keyframe<'_>), to: &Keyframe<'_>| {
         let nodes = places(from);
-        let guess = last.map_or_else(|| shifts(&nodes, &nodes), |last| shifts(&nodes, &last.onward(&nodes)));
-        Field { motion: register(from, to, shifts_between(i, i + 1), Guess::Rough(guess), reach), nodes }
+        let guess = last.map_or_else(
+            || shifts(&nodes, &nodes),
+            |last| shifts(&nodes, &last.onward(&nodes)),
+        );
+        Field {
+            motion: register(
+                from,
+                to,
+                shifts_between(i, i + 1),
+                Guess::Rough(guess),
+                reach,
+            ),
+            nodes,
+        }
     };
     let backward = |ahead: &Field, from: &Keyframe<'_>, (i, to): (usize, &Keyframe<'_>)| {
         let nodes = places(to);
         let guess = shifts(&nodes, &ahead.inverse().places(&nodes));
-        Field { motion: register(to, from, shifts_between(i, i - 1), Guess::Close(guess), reach), nodes }
+        Field {
+            motion: register(
+                to,
+                from,
+                shifts_between(i, i - 1),
+                Guess::Close(guess),
+                reach,
+            ),
+            nodes,
+        }
     };
     let mut out: Vec<Fields> = Vec::new();
-    let (Some(first), Some(second)) = (prepared(0), prepared(1)) else { return Ok(out) };
+    let (Some(first), Some(second)) = (prepared(0), prepared(1)) else {
+        return Ok(out);
+    };
     let mut ahead = forward(None, (0, &first), &second);
     let (mut behind, mut here) = (first, second);
     for i in 1..keyframes.len() {
@@ -68,24 +92,38 @@ pub(crate) fn fields(
             || prepared(i + 1).map(|next| (forward(Some(&ahead), (i, &here), &next), next)),
         );
         let Some((onward, next)) = next else {
-            out.push(Fields { forward: ahead, backward: back });
+            out.push(Fields {
+                forward: ahead,
+                backward: back,
+            });
             break;
         };
-        out.push(Fields { forward: std::mem::replace(&mut ahead, onward), backward: back });
+        out.push(Fields {
+            forward: std::mem::replace(&mut ahead, onward),
+            backward: back,
+        });
         behind = std::mem::replace(&mut here, next);
     }
     Ok(out)
 }
 
 fn shifts(from: &[[f32; 3]], to: &[[f32; 3]]) -> Vec<Rigid> {
-    from.iter().zip(to).map(|(p, q)| Rigid::shift(*p, *q)).collect()
+    from.iter()
+        .zip(to)
+        .map(|(p, q)| Rigid::shift(*p, *q))
+        .collect()
 }
 
 impl Field {
     /// The motion back, known where this one leads.
     pub fn inverse(&self) -> Self {
         Self {
-            nodes: self.nodes.iter().zip(&self.motion).map(|(p, m)| m.apply(*p)).collect(),
+            nodes: self
+                .nodes
+                .iter()
+                .zip(&self.motion)
+                .map(|(p, m)| m.apply(*p))
+                .collect(),
             motion: self.motion.iter().map(Rigid::inverse).collect(),
         }
     }
@@ -93,11 +131,14 @@ impl Field {
     /// The same displacement once more, at points of the keyframe that this motion leads to.
     fn onward(&self, at: &[[f32; 3]]) -> Vec<[f32; 3]> {
         let back = self.inverse().places(at);
-        at.iter().zip(back).map(|(p, q)| [0, 1, 2].map(|k| 2.0 * p[k] - q[k])).collect()
+        at.iter()
+            .zip(back)
+            .map(|(p, q)| [0, 1, 2].map(|k| 2.0 * p[k] - q[k]))
+            .collect()
     }
 
-    /// Where points among the nodes go: by the motions of the three nearest nodes, weighted by the inverse
-    /// distance. Without nodes nothing moves.
+    /// Where points among the nodes go: by the motions of the three nearest nodes, weighted by the
+    /// inverse distance. Without nodes nothing moves.
     pub fn places(&self, at: &[[f32; 3]]) -> Vec<[f32; 3]> {
         const THREE: NonZero<usize> = NonZero::new(3).unwrap();
         let tree = match ImmutableKdTree::<f32, 3>::new_from_slice(&self.nodes) {
@@ -107,7 +148,11 @@ impl Field {
         at.par_iter()
             .map(|p| {
                 let (mut sum, mut total) = ([0.0f32; 3], 0.0f32);
-                for n in tree.query(p).nearest_n::<SquaredEuclidean<f32>>(THREE).execute() {
+                for n in tree
+                    .query(p)
+                    .nearest_n::<SquaredEuclidean<f32>>(THREE)
+                    .execute()
+                {
                     let weight = 1.0 / n.distance.sqrt().max(1e-6);
                     let q = self.motion[n.item as usize].apply(*p);
                     (0..3).for_each(|k| sum[k] += weight * q[k]);
@@ -118,16 +163,27 @@ impl Field {
             .collect()
     }
 
-    /// The motions around points among the nodes: turned as the nearest node is, placed as [`places`](Self::places) says.
+    /// The motions around points among the nodes: turned as the nearest node is, placed as
+    /// [`places`](Self::places) says.
     pub fn motions(&self, at: &[[f32; 3]]) -> Vec<Rigid> {
-        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&self.nodes).ok().filter(|_| !self.nodes.is_empty());
+        let tree = ImmutableKdTree::<f32, 3>::new_from_slice(&self.nodes)
+            .ok()
+            .filter(|_| !self.nodes.is_empty());
         let places = self.places(at);
         at.par_iter()
             .zip(places)
             .map(|(p, q)| {
-                let nearest = tree.as_ref().map(|t| t.query(p).nearest_one::<SquaredEuclidean<f32>>().execute());
-                let rotation = nearest.map_or_else(UnitQuaternion::identity, |n| self.motion[n.item as usize].rotation);
-                Rigid { rotation, from: (*p).into(), to: q.into() }
+                let nearest = tree
+                    .as_ref()
+                    .map(|t| t.query(p).nearest_one::<SquaredEuclidean<f32>>().execute());
+                let rotation = nearest.map_or_else(UnitQuaternion::identity, |n| {
+                    self.motion[n.item as usize].rotation
+                });
+                Rigid {
+                    rotation,
+                    from: (*p).into(),
+                    to: q.into(),
+                }
             })
             .collect()
     }
@@ -136,11 +192,11 @@ impl Field {
 /// Motion of the points of a keyframe.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Paths {
-    /// World units per frame: half the displacement from the keyframe before to the one after; one side at the ends; 0 for a
-    /// lone keyframe.
+    /// World units per frame: half the displacement from the keyframe before to the one after; one
+    /// side at the ends; 0 for a lone keyframe.
     pub velocity: Vec<[f32; 3]>,
-    /// Distance between the path and the straight line one keyframe away, across the viewing ray of the keyframe, world units. Along
-    /// the ray, depth is too uncertain to tell; 0 at the ends.
+    /// Distance between the path and the straight line one keyframe away, across the viewing ray of
+    /// the keyframe, world units. Along the ray, depth is too uncertain to tell; 0 at the ends.
     pub bend: Vec<f32>,
 }
 
@@ -148,24 +204,43 @@ impl Paths {
     /// Those of some of the points.
     pub fn of_points(&self, points: &[u32]) -> Self {
         let all = || points.iter().map(|&k| k as usize);
-        Self { velocity: all().map(|k| self.velocity[k]).collect(), bend: all().map(|k| self.bend[k]).collect() }
+        Self {
+            velocity: all().map(|k| self.velocity[k]).collect(),
+            bend: all().map(|k| self.bend[k]).collect(),
+        }
     }
 
-    /// Of the points of keyframe `i` of `dynamic` (time in frames, points), seen from `centre`; `fields` leads from each keyframe
-    /// to the next.
-    pub fn of(dynamic: &[(f64, Centroids)], fields: &[Fields], i: usize, centre: &Vector3<f64>) -> Self {
+    /// Of the points of keyframe `i` of `dynamic` (time in frames, points), seen from `centre`;
+    /// `fields` leads from each keyframe to the next.
+    pub fn of(
+        dynamic: &[(f64, Centroids)],
+        fields: &[Fields],
+        i: usize,
+        centre: &Vector3<f64>,
+    ) -> Self {
         let (t, points) = &dynamic[i];
         // a keyframe of the same instant, from another camera, says nothing of velocities
         let side = |field: &Field, other: f64| -> Option<(f32, Vec<Vector3<f32>>)> {
             let gap = (other - t) as f32;
             let places = (gap != 0.0).then(|| field.places(&points.xyz))?;
             let pairs = places.iter().zip(&points.xyz);
-            Some((gap, pairs.map(|(q, p)| (Vector3::from(*q) - Vector3::from(*p)) / gap).collect()))
+            Some((
+                gap,
+                pairs
+                    .map(|(q, p)| (Vector3::from(*q) - Vector3::from(*p)) / gap)
+                    .collect(),
+            ))
         };
-        let before = i.checked_sub(1).and_then(|j| side(&fields[j].backward, dynamic[j].0));
-        let after = dynamic.get(i + 1).and_then(|next| side(&fields[i].forward, next.0));
-        let straight =
-            |v: Vec<Vector3<f32>>| Self { bend: vec![0.0; v.len()], velocity: v.into_iter().map(Into::into).collect() };
+        let before = i
+            .checked_sub(1)
+            .and_then(|j| side(&fields[j].backward, dynamic[j].0));
+        let after = dynamic
+            .get(i + 1)
+            .and_then(|next| side(&fields[i].forward, next.0));
+        let straight = |v: Vec<Vector3<f32>>| Self {
+            bend: vec![0.0; v.len()],
+            velocity: v.into_iter().map(Into::into).collect(),
+        };
         match (before, after) {
             (Some((back, a)), Some((ahead, b))) => {
                 let gap = 0.5 * (ahead - back);
@@ -175,7 +250,14 @@ impl Paths {
                     let off = (b - a) * (0.5 * gap);
                     (off - ray * (off.dot(&ray) / ray.norm_squared().max(f32::MIN_POSITIVE))).norm()
                 });
-                Self { bend: bend.collect(), velocity: a.iter().zip(&b).map(|(a, b)| (0.5 * (a + b)).into()).collect() }
+                Self {
+                    bend: bend.collect(),
+                    velocity: a
+                        .iter()
+                        .zip(&b)
+                        .map(|(a, b)| (0.5 * (a + b)).into())
+                        .collect(),
+                }
             }
             (Some((_, v)), None) | (None, Some((_, v))) => straight(v),
             (None, None) => straight(vec![Vector3::zeros(); points.xyz.len()]),
@@ -199,7 +281,9 @@ mod tests {
         for _ in 0..600 {
             let p = [0, 1, 2].map(|_| rng.uniform() as f32);
             still.xyz.push(p);
-            still.rgb.push([0, 1, 2].map(|k| 0.5 + 0.4 * (5.0 * p[k] + k as f32).sin()));
+            still
+                .rgb
+                .push([0, 1, 2].map(|k| 0.5 + 0.4 * (5.0 * p[k] + k as f32).sin()));
             still.edge.push(0.05);
         }
         still
@@ -216,8 +300,18 @@ mod tests {
     }
 
     fn between(clouds: &[Centroids], sees: &(dyn Fn([f32; 3]) -> bool + Sync)) -> Vec<Fields> {
-        let view = |c| View { nodes: c, points: c, sees };
-        fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, 0.1, &Silent).unwrap()
+        let view = |c| View {
+            nodes: c,
+            points: c,
+            sees,
+        };
+        fields(
+            &clouds.iter().map(view).collect::<Vec<_>>(),
+            None,
+            0.1,
+            &Silent,
+        )
+        .unwrap()
     }
 
     fn turn(p: [f32; 3], rad: f32) -> [f32; 3] {
@@ -239,10 +333,16 @@ mod tests {
         let found = between(&clouds, &|_| true);
         for (i, f) in found.iter().enumerate().skip(1) {
             let ahead = f.forward.places(&clouds[i].xyz);
-            let good = ahead.iter().zip(&clouds[i + 1].xyz).filter(|(a, b)| distance(**a, **b) < 0.01);
+            let good = ahead
+                .iter()
+                .zip(&clouds[i + 1].xyz)
+                .filter(|(a, b)| distance(**a, **b) < 0.01);
             assert!(good.count() > 560, "forward from {i}");
             let back = f.backward.places(&clouds[i + 1].xyz);
-            let good = back.iter().zip(&clouds[i].xyz).filter(|(a, b)| distance(**a, **b) < 0.01);
+            let good = back
+                .iter()
+                .zip(&clouds[i].xyz)
+                .filter(|(a, b)| distance(**a, **b) < 0.01);
             assert!(good.count() > 560, "back to {i}");
         }
     }
@@ -267,10 +367,23 @@ mod tests {
             .collect();
         let found = between(&clouds, &|p| in_image(&p));
         let field = &found[2].forward;
-        let leaving: Vec<[f32; 3]> = clouds[2].xyz.iter().copied().filter(|p| p[0] > 0.8).collect();
+        let leaving: Vec<[f32; 3]> = clouds[2]
+            .xyz
+            .iter()
+            .copied()
+            .filter(|p| p[0] > 0.8)
+            .collect();
         let places = field.places(&leaving);
-        let off: f32 = leaving.iter().zip(&places).map(|(p, q)| distance([p[0] + 0.1, p[1], p[2]], *q)).sum();
-        assert!(off / (leaving.len() as f32) < 0.02, "{}", off / leaving.len() as f32);
+        let off: f32 = leaving
+            .iter()
+            .zip(&places)
+            .map(|(p, q)| distance([p[0] + 0.1, p[1], p[2]], *q))
+            .sum();
+        assert!(
+            off / (leaving.len() as f32) < 0.02,
+            "{}",
+            off / leaving.len() as f32
+        );
     }
 
     #[test]
@@ -282,15 +395,35 @@ mod tests {
     }
 
     fn to(from: [f32; 3], to: [f32; 3]) -> Field {
-        Field { nodes: vec![from], motion: vec![Rigid::shift(from, to)] }
+        Field {
+            nodes: vec![from],
+            motion: vec![Rigid::shift(from, to)],
+        }
     }
 
     fn paths(steps: [[f32; 3]; 3], times: [f64; 3]) -> Paths {
         let [a, b, c] = steps;
-        let point = |xyz| Centroids { xyz: vec![xyz], rgb: vec![[0.5; 3]], edge: vec![0.1], key: vec![(0, 0)] };
-        let between = |a, b| Fields { forward: to(a, b), backward: to(b, a) };
-        let moving = [(times[0], point(a)), (times[1], point(b)), (times[2], point(c))];
-        Paths::of(&moving, &[between(a, b), between(b, c)], 1, &Vector3::zeros())
+        let point = |xyz| Centroids {
+            xyz: vec![xyz],
+            rgb: vec![[0.5; 3]],
+            edge: vec![0.1],
+            key: vec![(0, 0)],
+        };
+        let between = |a, b| Fields {
+            forward: to(a, b),
+            backward: to(b, a),
+        };
+        let moving = [
+            (times[0], point(a)),
+            (times[1], point(b)),
+            (times[2], point(c)),
+        ];
+        Paths::of(
+            &moving,
+            &[between(a, b), between(b, c)],
+            1,
+            &Vector3::zeros(),
+        )
     }
 
     #[test]
@@ -298,15 +431,31 @@ mod tests {
         // before the camera, 0.1 rad from keyframe to keyframe, which are 4 frames apart
         let at = |k: f32| [2.0 * (0.1 * k).sin(), 2.0 * (0.1 * k).cos() - 2.0, 10.0];
         let found = paths([at(-1.0), at(0.0), at(1.0)], [0.0, 4.0, 8.0]);
-        assert!((found.bend[0] - 2.0 * 0.1 * 0.1 / 2.0).abs() < 1e-4, "{found:?}");
+        assert!(
+            (found.bend[0] - 2.0 * 0.1 * 0.1 / 2.0).abs() < 1e-4,
+            "{found:?}"
+        );
         let v = Vector3::from(found.velocity[0]);
-        assert!((v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5, "{found:?}");
+        assert!(
+            (v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5,
+            "{found:?}"
+        );
     }
 
     #[test]
     fn a_line_does_not_bend_and_depth_that_jumps_does_not_count() {
-        assert!(paths([[0.0; 3], [1.0, 0.0, 5.0], [2.0, 0.0, 10.0]], [0.0, 1.0, 2.0]).bend[0] < 1e-5);
-        let jump = paths([[0.0, 0.0, 9.0], [0.0, 0.0, 10.0], [0.0, 0.0, 9.0]], [0.0, 1.0, 2.0]);
+        assert!(
+            paths(
+                [[0.0; 3], [1.0, 0.0, 5.0], [2.0, 0.0, 10.0]],
+                [0.0, 1.0, 2.0]
+            )
+            .bend[0]
+                < 1e-5
+        );
+        let jump = paths(
+            [[0.0, 0.0, 9.0], [0.0, 0.0, 10.0], [0.0, 0.0, 9.0]],
+            [0.0, 1.0, 2.0],
+        );
         assert!(jump.bend[0] < 1e-5, "{jump:?}");
     }
 }

@@ -5,11 +5,14 @@ use m4_core::{
     nalgebra::{Matrix3, Vector3},
 };
 
-/// Depths of four neighbouring pixels that differ by more than this share are not of one surface (our rule).
+/// Depths of four neighbouring pixels that differ by more than this share are not of one surface
+/// (our rule).
 const JUMP: f32 = 0.03;
-/// Half the side of the square whose mean light a pixel is compared with, widths of the image (our rule).
+/// Half the side of the square whose mean light a pixel is compared with, widths of the image (our
+/// rule).
 const AROUND_WIDTHS: f32 = 0.016;
-/// Added to sums of light, 0..1, so that the noise of dark pixels does not count as colour (our rule).
+/// Added to sums of light, 0..1, so that the noise of dark pixels does not count as colour (our
+/// rule).
 const DARK: f32 = 0.1;
 /// Contrast counts this much beside the shares of red and green (our rule).
 const CONTRAST: f32 = 0.5;
@@ -25,8 +28,9 @@ pub(crate) struct SurfacePoint {
 
 /// A frame that points are aligned to.
 ///
-/// Three measures of each pixel: red and green as shares of the light, and the light against its mean around. A lamp that dims or a surface
-/// that turns away from it changes them little. Static pixels have no part in them.
+/// Three measures of each pixel: red and green as shares of the light, and the light against its
+/// mean around. A lamp that dims or a surface that turns away from it changes them little. Static
+/// pixels have no part in them.
 #[derive(Debug, Clone)]
 pub(crate) struct Observed {
     /// Rows of the rotation from world to camera.
@@ -67,7 +71,9 @@ impl Observed {
         let (depth, mask) = (frame.depth.as_ref()?, frame.mask.as_ref()?);
         let size = frame.rgb.size();
         let (width, height) = size;
-        let inside = Plane::from_fn(width, height, |x, y| f32::from(u8::from(mask.covers((x, y), size))));
+        let inside = Plane::from_fn(width, height, |x, y| {
+            f32::from(u8::from(mask.covers((x, y), size)))
+        });
         let measures = measures(frame, &inside);
         let pixel = |i: usize| {
             let (x, y) = (i % width, i / width);
@@ -110,7 +116,10 @@ impl Observed {
             r[0] * p.x + r[1] * p.y + r[2] * p.z + self.translation[i]
         });
         let [x, y, z] = point;
-        let at = [self.focal[0] * x / z + self.principal[0], self.focal[1] * y / z + self.principal[1]];
+        let at = [
+            self.focal[0] * x / z + self.principal[0],
+            self.focal[1] * y / z + self.principal[1],
+        ];
         (z > f32::EPSILON).then_some(Projected { at, point })
     }
 
@@ -127,7 +136,8 @@ impl Observed {
     /// `None` at the border of the image and where no pixel around is dynamic.
     #[inline]
     pub fn sample(&self, [u, v]: [f32; 2]) -> Option<Sample> {
-        let inside = u >= 0.0 && v >= 0.0 && u < (self.width - 1) as f32 && v < (self.height - 1) as f32;
+        let inside =
+            u >= 0.0 && v >= 0.0 && u < (self.width - 1) as f32 && v < (self.height - 1) as f32;
         if !inside {
             return None;
         }
@@ -145,10 +155,17 @@ impl Observed {
         };
         let values = [0, 1, 2].map(blend);
         let depths = [p[3], q[3], r[3], s[3]];
-        let (low, high) = depths.iter().fold((f32::MAX, 0.0f32), |(low, high), &d| (low.min(d), high.max(d)));
+        let (low, high) = depths.iter().fold((f32::MAX, 0.0f32), |(low, high), &d| {
+            (low.min(d), high.max(d))
+        });
         let smooth = dynamic == [true; 4] && low > 0.0 && high - low < JUMP * high;
         let (depth, depth_slope) = if smooth { blend(3) } else { (0.0, [0.0; 2]) };
-        Some(Sample { measures: values.map(|v| v.0), slopes: values.map(|v| v.1), depth, depth_slope })
+        Some(Sample {
+            measures: values.map(|v| v.0),
+            slopes: values.map(|v| v.1),
+            depth,
+            depth_slope,
+        })
     }
 
     /// z-depth of a dynamic pixel.
@@ -172,20 +189,28 @@ impl Observed {
             let i = y * self.width + x;
             let [a, b, c, z] = self.pixels[i];
             let place = || self.unproject([x as f32, y as f32], z);
-            (self.dynamic[i] && z > 0.0).then(|| SurfacePoint { place: place(), measures: [a, b, c] })
+            (self.dynamic[i] && z > 0.0).then(|| SurfacePoint {
+                place: place(),
+                measures: [a, b, c],
+            })
         };
         places.filter_map(point).collect()
     }
 
     fn unproject(&self, [u, v]: [f32; 2], z: f32) -> Vector3<f32> {
-        let p = [(u - self.principal[0]) / self.focal[0] * z, (v - self.principal[1]) / self.focal[1] * z, z];
+        let p = [
+            (u - self.principal[0]) / self.focal[0] * z,
+            (v - self.principal[1]) / self.focal[1] * z,
+            z,
+        ];
         let p: [f32; 3] = std::array::from_fn(|i| p[i] - self.translation[i]);
         let r = &self.rotation;
         Vector3::from_fn(|j, _| (0..3).map(|i| r[i][j] * p[i]).sum())
     }
 }
 
-/// The measures of every pixel within two of a dynamic one; `inside` is 1 for dynamic pixels, 0 for static ones.
+/// The measures of every pixel within two of a dynamic one; `inside` is 1 for dynamic pixels, 0 for
+/// static ones.
 fn measures(frame: &CaptureFrame, inside: &Plane<f32>) -> [Plane<f32>; 3] {
     let (width, height) = inside.size();
     let share = smooth(inside);
@@ -195,7 +220,9 @@ fn measures(frame: &CaptureFrame, inside: &Plane<f32>) -> [Plane<f32>; 3] {
         Plane::from_fn(width, height, |x, y| sum[(x, y)] / share[(x, y)].max(1e-3))
     };
     let ((r, g), b) = rayon::join(|| rayon::join(|| channel(0), || channel(1)), || channel(2));
-    let light = Plane::from_fn(width, height, |x, y| (r[(x, y)] + g[(x, y)] + b[(x, y)]) / 3.0);
+    let light = Plane::from_fn(width, height, |x, y| {
+        (r[(x, y)] + g[(x, y)] + b[(x, y)]) / 3.0
+    });
     let half = (AROUND_WIDTHS * width as f32).round().max(2.0) as usize;
     let lit = Plane::from_fn(width, height, |x, y| light[(x, y)] * inside[(x, y)]);
     let (sums, counts) = rayon::join(|| square_sums(&lit, half), || square_sums(inside, half));
@@ -203,8 +230,11 @@ fn measures(frame: &CaptureFrame, inside: &Plane<f32>) -> [Plane<f32>; 3] {
         0.0 => 0.0,
         _ => value(light[(x, y)]),
     };
-    let colour =
-        |c: &Plane<f32>| Plane::from_fn(width, height, |x, y| of(x, y, &|light| c[(x, y)] / (3.0 * light + DARK)));
+    let colour = |c: &Plane<f32>| {
+        Plane::from_fn(width, height, |x, y| {
+            of(x, y, &|light| c[(x, y)] / (3.0 * light + DARK))
+        })
+    };
     let contrast = Plane::from_fn(width, height, |x, y| {
         let mean = sums[(x, y)] / counts[(x, y)].max(1.0);
         of(x, y, &|light| CONTRAST * (light - mean) / (mean + DARK))
@@ -239,7 +269,11 @@ fn smooth(plane: &Plane<f32>) -> Plane<f32> {
     let taps = |v: [f32; 5]| (v[0] + v[4]) / 16.0 + (v[1] + v[3]) * 0.25 + v[2] * 0.375;
     let near = |x: usize, k: usize, n: usize| (x + k).saturating_sub(2).min(n - 1);
     let mut rows = Plane::filled(w, h, 0.0f32);
-    for (row, out) in plane.data().chunks_exact(w.max(1)).zip(rows.data_mut().chunks_exact_mut(w.max(1))) {
+    for (row, out) in plane
+        .data()
+        .chunks_exact(w.max(1))
+        .zip(rows.data_mut().chunks_exact_mut(w.max(1)))
+    {
         for (x, out) in out.iter_mut().enumerate() {
             *out = taps(std::array::from_fn(|k| row[near(x, k, w)]));
         }

@@ -20,7 +20,8 @@ const NEIGHBOURS: usize = 6;
 /// Range of the noise of depth, share: files round, and networks err.
 const DEPTH_NOISE: [f32; 2] = [0.004, 0.03];
 
-/// The median difference of depth at the guess, as a standard deviation; mostly the noise of depth where the guess is near.
+/// The median difference of depth at the guess, as a standard deviation; mostly the noise of depth
+/// where the guess is near.
 pub(crate) fn depth_noise(to: &Observed, places: &[[f32; 3]], motion: &[Rigid]) -> f32 {
     let off = places.iter().zip(motion).filter_map(|(p, m)| {
         let projected = to.project(&m.moved(&Vector3::from(*p)))?;
@@ -34,12 +35,16 @@ pub(crate) fn depth_noise(to: &Observed, places: &[[f32; 3]], motion: &[Rigid]) 
 
 /// Pieces around some of `places`, `px` pixels apart, and which those are. `None` without places.
 pub(crate) fn pieces(from: &Observed, places: &[[f32; 3]], px: f32) -> Option<(Pieces, Vec<u32>)> {
-    let mut depths: Vec<f32> =
-        places.iter().filter_map(|p| from.project(&Vector3::from(*p)).map(|p| p.point[2])).collect();
+    let mut depths: Vec<f32> = places
+        .iter()
+        .filter_map(|p| from.project(&Vector3::from(*p)).map(|p| p.point[2]))
+        .collect();
     let spacing = px * from.pixel(m4_core::median(&mut depths)?);
     let mut cells: BTreeMap<[i32; 3], u32> = BTreeMap::new();
     for (k, p) in places.iter().enumerate() {
-        cells.entry(p.map(|v| (v / spacing).floor() as i32)).or_insert(k as u32);
+        cells
+            .entry(p.map(|v| (v / spacing).floor() as i32))
+            .or_insert(k as u32);
     }
     let chosen: Vec<u32> = cells.into_values().collect();
     let nodes: Vec<[f32; 3]> = chosen.iter().map(|&k| places[k as usize]).collect();
@@ -53,16 +58,36 @@ pub(crate) fn pieces(from: &Observed, places: &[[f32; 3]], px: f32) -> Option<(P
     // the weight falls to exp(-1/2) at twice the distance of nodes
     let radius = 2.0 * spacing;
     let node = |(i, p): (usize, &[f32; 3])| {
-        let near = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute();
-        let near = near.iter().filter(|n| n.item as usize != i && n.distance < (4.0 * spacing).powi(2));
-        let around = cloud.query(p).nearest_n::<SquaredEuclidean<f32>>(most).execute();
-        let around = around.iter().filter(|n| n.distance < (2.0 * radius).powi(2));
+        let near = tree
+            .query(p)
+            .nearest_n::<SquaredEuclidean<f32>>(count)
+            .execute();
+        let near = near
+            .iter()
+            .filter(|n| n.item as usize != i && n.distance < (4.0 * spacing).powi(2));
+        let around = cloud
+            .query(p)
+            .nearest_n::<SquaredEuclidean<f32>>(most)
+            .execute();
+        let around = around
+            .iter()
+            .filter(|n| n.distance < (2.0 * radius).powi(2));
         Node {
             place: (*p).into(),
-            points: around.map(|n| (n.item, 0.5 * n.distance / (radius * radius))).collect(),
+            points: around
+                .map(|n| (n.item, 0.5 * n.distance / (radius * radius)))
+                .collect(),
             near: near.map(|n| n.item).collect(),
         }
     };
     let nodes = nodes.par_iter().enumerate().map(node).collect();
-    Some((Pieces { nodes, points, spacing, step }, chosen))
+    Some((
+        Pieces {
+            nodes,
+            points,
+            spacing,
+            step,
+        },
+        chosen,
+    ))
 }

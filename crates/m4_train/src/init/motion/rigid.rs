@@ -16,19 +16,25 @@ pub(crate) type Pair = (Vector3<f32>, Vector3<f32>, f32);
 impl Rigid {
     /// A shift that takes `from` to `to`.
     pub fn shift(from: [f32; 3], to: [f32; 3]) -> Self {
-        Self { rotation: UnitQuaternion::identity(), from: from.into(), to: to.into() }
+        Self {
+            rotation: UnitQuaternion::identity(),
+            from: from.into(),
+            to: to.into(),
+        }
     }
 
     /// The rigid motion that fits `pairs` best in the least squares; `None` if their weight is 0.
     ///
-    /// The rotation is the rotational part of the cross-covariance (Müller et al. 2016, "A robust method to
-    /// extract the rotational part of deformations"), found by turning `start` until nothing is left to turn.
-    /// Where the points say nothing (a line, a single point) it stays at `start`.
+    /// The rotation is the rotational part of the cross-covariance (Müller et al. 2016, "A robust
+    /// method to extract the rotational part of deformations"), found by turning `start` until
+    /// nothing is left to turn. Where the points say nothing (a line, a single point) it stays at
+    /// `start`.
     pub fn fit(pairs: impl Iterator<Item = Pair>, start: UnitQuaternion<f32>) -> Option<Self> {
         let mut pairs = pairs.peekable();
         // from here, or the sums would lose digits
         let origin = pairs.peek()?.0;
-        // sums of the weighted `(to, 1)`: alone, and with each component of `from`; four lanes are one instruction
+        // sums of the weighted `(to, 1)`: alone, and with each component of `from`; four lanes are
+        // one instruction
         let mut sums = [[0.0f32; 4]; 4];
         for (p, q, w) in pairs {
             let (p, q) = (p - origin, q - origin);
@@ -75,7 +81,11 @@ impl Rigid {
 
     /// The motion back.
     pub fn inverse(&self) -> Self {
-        Self { rotation: self.rotation.inverse(), from: self.to, to: self.from }
+        Self {
+            rotation: self.rotation.inverse(),
+            from: self.to,
+            to: self.from,
+        }
     }
 
     /// Returns the transformed point.
@@ -90,7 +100,11 @@ impl Rigid {
 
     /// The same motion, told by another point.
     pub fn about(&self, p: [f32; 3]) -> Self {
-        Self { from: p.into(), to: self.moved(&p.into()), ..*self }
+        Self {
+            from: p.into(),
+            to: self.moved(&p.into()),
+            ..*self
+        }
     }
 }
 
@@ -112,7 +126,11 @@ mod tests {
         let pairs: Vec<_> = (0..40)
             .map(|_| {
                 let p = Vector3::from([0, 1, 2].map(|_| rng.uniform() as f32));
-                (p, turn * p + Vector3::new(3.0, 0.0, -1.0), rng.uniform() as f32)
+                (
+                    p,
+                    turn * p + Vector3::new(3.0, 0.0, -1.0),
+                    rng.uniform() as f32,
+                )
             })
             .collect();
         let fit = Rigid::fit(pairs.iter().copied(), UnitQuaternion::identity()).unwrap();

@@ -1,5 +1,5 @@
-//! Motion of the nodes of a window: each is aligned to every frame of it from the frame in the middle, so that errors do not add up, and
-//! smoothed over time.
+//! Motion of the nodes of a window: each is aligned to every frame of it from the frame in the
+//! middle, so that errors do not add up, and smoothed over time.
 
 use crate::init::motion::{
     Field, Fields,
@@ -12,13 +12,16 @@ use crate::init::motion::{
 };
 use rayon::prelude::*;
 
-/// Nodes of a window if its surface faced the camera; surfaces that do not have up to two or three times as many (measured: docs/decisions/0022).
+/// Nodes of a window if its surface faced the camera; surfaces that do not have up to two or three
+/// times as many (measured: docs/decisions/0022).
 const NODES: f32 = 200.0;
 /// Rounds of a frame.
 const ROUNDS: [Extent; 8] = [WIDE, WIDE, WIDE, WIDE, NARROW, NARROW, NARROW, NARROW];
-/// How often a window is aligned again from smoothed motion (measured, as the next: docs/decisions/0022).
+/// How often a window is aligned again from smoothed motion (measured, as the next:
+/// docs/decisions/0022).
 const AGAIN: usize = 2;
-/// Fourth differences of paths may be this many times as large as they usually are in the window (measured: docs/decisions/0022).
+/// Fourth differences of paths may be this many times as large as they usually are in the window
+/// (measured: docs/decisions/0022).
 const SLACK: f64 = 3.0;
 /// Deviations of the place on the reference, and where no frame tells it, pixels of [`UNIT_WIDTH`].
 const EXACT_PX: f32 = 0.02;
@@ -29,7 +32,8 @@ const DEPTH_OF_PIECE: f32 = 0.3;
 const STEP_WIDTHS: f32 = 1.0 / 160.0;
 /// How far neighbouring nodes move apart, widths of the image.
 const APART_WIDTHS: f32 = 1.0 / 320.0;
-/// A guess that is not the node's own continued motion must explain this much more: the motion of the field, that of a neighbour.
+/// A guess that is not the node's own continued motion must explain this much more: the motion of
+/// the field, that of a neighbour.
 const OTHER: [f32; 2] = [0.02, 0.05];
 /// Points that a guess is judged by: every third of a node.
 const JUDGES: usize = 3;
@@ -51,9 +55,10 @@ pub(crate) struct WindowMotion {
 }
 
 impl WindowMotion {
-    /// Of nodes on what keyframe `reference` of a window shows. `observed` and `times` (frames) are those of its keyframes; `fields` lead from
-    /// each of them to the next; `rate` is that of frames a second. `None` where the reference shows nothing dynamic, or depth so torn that there are more nodes than a
-    /// binding can name.
+    /// Of nodes on what keyframe `reference` of a window shows. `observed` and `times` (frames) are
+    /// those of its keyframes; `fields` lead from each of them to the next; `rate` is that of
+    /// frames a second. `None` where the reference shows nothing dynamic, or depth so torn that
+    /// there are more nodes than a binding can name.
     ///
     /// Keyframes of one instant, from other cameras, share their motion.
     pub fn new(
@@ -75,20 +80,32 @@ impl WindowMotion {
         // the field that leads from a keyframe to the next one on that side
         let step = |key: usize, forward: bool| match forward {
             true => Some((key + 1, &fields.get(key)?.forward)),
-            false => key.checked_sub(1).and_then(|next| Some((next, &fields.get(next)?.backward))),
+            false => key
+                .checked_sub(1)
+                .and_then(|next| Some((next, &fields.get(next)?.backward))),
         };
         let noises = [true, false].iter().filter_map(|&forward| {
             let (key, field) = step(reference, forward)?;
-            Some(depth_noise(observed.get(key)?.as_ref()?, &nodes, &field.motions(&nodes)))
+            Some(depth_noise(
+                observed.get(key)?.as_ref()?,
+                &nodes,
+                &field.motions(&nodes),
+            ))
         });
         let depth = m4_core::median(&mut noises.collect::<Vec<f32>>()).unwrap_or(DEPTH);
         let seconds: Vec<f64> = times.iter().map(|t| t / rate).collect();
         let width = from.width() as f32;
-        let prior = Prior { depth, apart_px: APART_WIDTHS * width, step_px: STEP_WIDTHS * width };
+        let prior = Prior {
+            depth,
+            apart_px: APART_WIDTHS * width,
+            step_px: STEP_WIDTHS * width,
+        };
         let along = |forward: bool| {
             let mut out = Vec::new();
             let (mut key, mut before, mut motion) = (reference, None, still.clone());
-            while let Some((next, field)) = step(key, forward).filter(|(next, _)| *next < observed.len()) {
+            while let Some((next, field)) =
+                step(key, forward).filter(|(next, _)| *next < observed.len())
+            {
                 if times[next] != times[key] {
                     let frame = observed[next].as_ref();
                     let guess = guess(&pieces, &motion, before.as_deref(), field, frame, prior);
@@ -107,7 +124,13 @@ impl WindowMotion {
         motions.reverse();
         motions.push(still);
         motions.extend(ahead);
-        let mut out = Self { nodes, motion: motions, pieces, prior, reference };
+        let mut out = Self {
+            nodes,
+            motion: motions,
+            pieces,
+            prior,
+            reference,
+        };
         let instants = instants(&seconds);
         let times: Vec<f64> = instants.iter().map(|&k| seconds[k]).collect();
         let path = |i: usize| instants.iter().map(|&k| out.motion[k][i].to).collect();
@@ -121,14 +144,20 @@ impl WindowMotion {
         Some(out)
     }
 
-    /// Brings the motion of each node to that which is most likely over time, for fourth differences as large as `snap` (docs/spec/scaffold.md 4).
+    /// Brings the motion of each node to that which is most likely over time, for fourth
+    /// differences as large as `snap` (docs/spec/scaffold.md 4).
     fn smooth(&mut self, observed: &[Option<Observed>], seconds: &[f64], snap: f64) {
-        let Some(from) = observed[self.reference].as_ref() else { return };
+        let Some(from) = observed[self.reference].as_ref() else {
+            return;
+        };
         let keys = 0..observed.len();
-        let signs: Vec<Option<Vec<Signs>>> = keys.clone().map(|key| self.signs(observed, key)).collect();
+        let signs: Vec<Option<Vec<Signs>>> =
+            keys.clone().map(|key| self.signs(observed, key)).collect();
         let instants = instants(seconds);
         let of = |i: usize| {
-            let z = from.project(&self.pieces.nodes[i].place).map_or(1.0, |p| p.point[2]);
+            let z = from
+                .project(&self.pieces.nodes[i].place)
+                .map_or(1.0, |p| p.point[2]);
             let unit = from.pixel(z) * from.width() as f32 / UNIT_WIDTH;
             let depth = self.prior.depth * z;
             let estimate = |&key: &usize| {
@@ -147,9 +176,19 @@ impl WindowMotion {
             };
             instants.iter().map(estimate).collect()
         };
-        let paths: Vec<Vec<Estimate>> = (0..self.pieces.nodes.len()).into_par_iter().map(of).collect();
-        let expected = Expected { axes: from.axes(), snap, radius: 2.0 * self.pieces.spacing };
-        let paths: Vec<Vec<Rigid>> = paths.par_iter().map(|path| smooth(path, expected)).collect();
+        let paths: Vec<Vec<Estimate>> = (0..self.pieces.nodes.len())
+            .into_par_iter()
+            .map(of)
+            .collect();
+        let expected = Expected {
+            axes: from.axes(),
+            snap,
+            radius: 2.0 * self.pieces.spacing,
+        };
+        let paths: Vec<Vec<Rigid>> = paths
+            .par_iter()
+            .map(|path| smooth(path, expected))
+            .collect();
         let mut instant = 0;
         for key in keys {
             instant += usize::from(instants.get(instant + 1) == Some(&key));
@@ -166,7 +205,13 @@ impl WindowMotion {
                 continue;
             }
             if let Some(frame) = &observed[key] {
-                self.motion[key] = align(&self.pieces, frame, &self.motion[key], self.prior, &[NARROW; 2]);
+                self.motion[key] = align(
+                    &self.pieces,
+                    frame,
+                    &self.motion[key],
+                    self.prior,
+                    &[NARROW; 2],
+                );
             }
         }
     }
@@ -181,26 +226,37 @@ impl WindowMotion {
         self.prior.depth
     }
 
-    /// Returns the signs of the error of each node at keyframe `key` of the `observed` ones that this was made of; `None` on the reference, where nodes are exact, and
-    /// where nothing was observed.
+    /// Returns the signs of the error of each node at keyframe `key` of the `observed` ones that
+    /// this was made of; `None` on the reference, where nodes are exact, and where nothing was
+    /// observed.
     pub fn signs(&self, observed: &[Option<Observed>], key: usize) -> Option<Vec<Signs>> {
-        let frame = observed.get(key)?.as_ref().filter(|_| key != self.reference)?;
+        let frame = observed
+            .get(key)?
+            .as_ref()
+            .filter(|_| key != self.reference)?;
         Some(signs(&self.pieces, frame, &self.motion[key], self.prior))
     }
 }
 
 /// The first keyframe of each instant: those of other cameras share its motion.
 fn instants(seconds: &[f64]) -> Vec<usize> {
-    (0..seconds.len()).filter(|&k| k == 0 || seconds[k] > seconds[k - 1]).collect()
+    (0..seconds.len())
+        .filter(|&k| k == 0 || seconds[k] > seconds[k - 1])
+        .collect()
 }
 
 /// The motion `b` after `a` once more.
 fn again(a: &Rigid, b: &Rigid) -> Rigid {
     let turn = b.rotation * a.rotation.inverse();
-    Rigid { rotation: turn * b.rotation, from: b.from, to: b.to + (b.to - a.to) }
+    Rigid {
+        rotation: turn * b.rotation,
+        from: b.from,
+        to: b.to + (b.to - a.to),
+    }
 }
 
-/// What comes next: the motion once more, by the field, or as a neighbour, whichever explains the frame best.
+/// What comes next: the motion once more, by the field, or as a neighbour, whichever explains the
+/// frame best.
 fn guess(
     pieces: &Pieces,
     motion: &[Rigid],
@@ -214,9 +270,15 @@ fn guess(
     let by: Vec<Rigid> = motion
         .iter()
         .zip(&by)
-        .map(|(m, f)| Rigid { rotation: f.rotation * m.rotation, from: m.from, to: f.moved(&m.to) })
+        .map(|(m, f)| Rigid {
+            rotation: f.rotation * m.rotation,
+            from: m.from,
+            to: f.moved(&m.to),
+        })
         .collect();
-    let (Some(before), Some(frame)) = (before, frame) else { return by };
+    let (Some(before), Some(frame)) = (before, frame) else {
+        return by;
+    };
     let onward = |i: usize| again(&before[i], &motion[i]);
     (0..motion.len())
         .into_par_iter()
@@ -253,7 +315,8 @@ fn cost(node: &Node, pieces: &Pieces, frame: &Observed, m: &Rigid, depth: f32) -
         let point = &pieces.points[k as usize];
         total += w;
         let projected = frame.project(&m.moved(&point.place));
-        let (Some(projected), Some(z)) = (projected, projected.and_then(|p| frame.depth(p.at))) else {
+        let (Some(projected), Some(z)) = (projected, projected.and_then(|p| frame.depth(p.at)))
+        else {
             sum += UNKNOWN * w;
             continue;
         };
@@ -266,7 +329,9 @@ fn cost(node: &Node, pieces: &Pieces, frame: &Observed, m: &Rigid, depth: f32) -
             sum += w;
             continue;
         };
-        let off = (0..3).map(|c| ((sample.measures[c] - point.measures[c]) / 0.03).powi(2) / 3.0).sum::<f32>();
+        let off = (0..3)
+            .map(|c| ((sample.measures[c] - point.measures[c]) / 0.03).powi(2) / 3.0)
+            .sum::<f32>();
         let far = match sample.depth > 0.0 {
             true => ((sample.depth - expected) / (2.0 * depth * expected)).powi(2),
             false => 1.0,

@@ -21,7 +21,8 @@ function pitchWithin(pose: Pose, up: Vec3, pitch: number): number {
 
 /** About `pivot`: `yaw` radians about the upward axis, `pitch` about the camera's own horizontal. */
 export function turned(pose: Pose, pivot: Vec3, up: Vec3, yaw: number, pitch: number): Pose {
-  // a turn about the axis to the right raises the view for positive angles: downward pitch is negative
+  // a turn about the axis to the right raises the view for positive angles: downward pitch is
+  // negative
   const within = pitchWithin(pose, up, -pitch);
   const turn = quatMul(axisAngle(up, yaw), axisAngle(axis(pose, 0), -within));
   return turnAbout(pose, pivot, turn);

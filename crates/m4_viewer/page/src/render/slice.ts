@@ -195,7 +195,8 @@ export class Slicer {
     const [b0, b1, b2, b3] = [m(4), m(5), m(6), m(7)];
     const [c0, c1, c2, c3] = [m(8), m(9), m(10), m(11)];
     const near = Math.max(this.near, NEAR_MIN) * (1 - SLACK);
-    // the shape of a splat is at most its radius, seen through the steepest Jacobian, and the low-pass
+    // the shape of a splat is at most its radius, seen through the steepest Jacobian, and the
+    // low-pass
     const [marginX, marginY] = [(JACOBIAN_MARGIN * width) / (2 * fx), (JACOBIAN_MARGIN * height) / (2 * fy)];
     const steepX = Math.max(cx / fx, (width - cx) / fx) + marginX;
     const steepY = Math.max(cy / fy, (height - cy) / fy) + marginY;

@@ -1,7 +1,9 @@
 //! Encodes bound splats and their windows.
 
 use super::super::{Linear, Sinh, encode::VELOCITY_STEPS, push_planes};
-use super::{FADE, LEAST_PRESENCE, LIFE_TOP, TURN_TOP, WEIGHT_SUM, presence, reach, step_code, turn_code};
+use super::{
+    FADE, LEAST_PRESENCE, LIFE_TOP, TURN_TOP, WEIGHT_SUM, presence, reach, step_code, turn_code,
+};
 use m4_core::{BINDING_NODES, Binding, Column, Pose, Scene, Splats, Window};
 
 /// Step of a trend as a share of itself: of the change of a colour in a life.
@@ -20,8 +22,8 @@ pub(in super::super) struct Bound<'a> {
 }
 
 impl<'a> Bound<'a> {
-    /// Takes the rows that may be shown apart from their life: `seen` says so of a row, given the largest share of its
-    /// optical depth from frame 0 to the last.
+    /// Takes the rows that may be shown apart from their life: `seen` says so of a row, given the
+    /// largest share of its optical depth from frame 0 to the last.
     pub fn new(scene: &'a Scene, seen: impl Fn(usize, f64) -> bool) -> Self {
         let splats = &scene.splats;
         let last = scene.time_frames.saturating_sub(1) as f64;
@@ -31,7 +33,10 @@ impl<'a> Bound<'a> {
             _ => 0.0,
         };
         let bindings = splats.bindings();
-        let shown = splats.bound().zip(bindings).filter(|(row, b)| peak(b) >= LEAST_PRESENCE && seen(*row, peak(b)));
+        let shown = splats
+            .bound()
+            .zip(bindings)
+            .filter(|(row, b)| peak(b) >= LEAST_PRESENCE && seen(*row, peak(b)));
         let mut rows: Vec<usize> = shown.map(|(row, _)| row).collect();
         let of = |row: &usize| &bindings[row - splats.n_static()];
         rows.sort_by_key(|row| (of(row).window, of(row).nodes));
@@ -40,7 +45,12 @@ impl<'a> Bound<'a> {
             windows.push(&splats.windows()[of(&same[0]).window as usize]);
             counts.push(same.len() as u32);
         }
-        Self { splats, rows, windows, counts }
+        Self {
+            splats,
+            rows,
+            windows,
+            counts,
+        }
     }
 
     pub fn is_empty(&self) -> bool {
@@ -56,18 +66,34 @@ impl<'a> Bound<'a> {
         for count in [self.rows.len(), self.windows.len()] {
             bytes.extend_from_slice(&(count as u32).to_le_bytes());
         }
-        let Codes { life, residual, trend } = codes;
-        for v in [life.low, life.step, residual.spread, residual.step, trend.spread, trend.step] {
+        let Codes {
+            life,
+            residual,
+            trend,
+        } = codes;
+        for v in [
+            life.low,
+            life.step,
+            residual.spread,
+            residual.step,
+            trend.spread,
+            trend.step,
+        ] {
             bytes.extend_from_slice(&v.to_le_bytes());
         }
         for (window, &count) in self.windows.iter().zip(&self.counts) {
-            for v in [count, window.keys().len() as u32, window.anchors().len() as u32] {
+            for v in [
+                count,
+                window.keys().len() as u32,
+                window.anchors().len() as u32,
+            ] {
                 bytes.extend_from_slice(&v.to_le_bytes());
             }
         }
     }
 
-    /// Appends what bound splats have beside what all have, and the windows. `mean` encodes coordinates.
+    /// Appends what bound splats have beside what all have, and the windows. `mean` encodes
+    /// coordinates.
     pub fn push(&self, scene: &Scene, codes: &Codes, mean: &[Sinh; 3], bytes: &mut Vec<u8>) {
         let first = self.splats.n_static();
         let last = scene.time_frames.saturating_sub(1) as f64;
@@ -84,11 +110,26 @@ impl<'a> Bound<'a> {
             column(1, &|row| codes.trend.code(from[row - first]));
         }
         column(2, &|row| birth(self.splats, row).0 as u32);
-        let life =
-            |row: usize| clipped(self.binding(row), &self.splats.windows()[self.binding(row).window as usize], last);
-        column(2, &|row| if life(row)[0] == f32::NEG_INFINITY { 0 } else { codes.life.code(life(row)[0]).max(1) });
+        let life = |row: usize| {
+            clipped(
+                self.binding(row),
+                &self.splats.windows()[self.binding(row).window as usize],
+                last,
+            )
+        };
         column(2, &|row| {
-            if life(row)[1] == f32::INFINITY { LIFE_TOP } else { codes.life.code(life(row)[1]).min(LIFE_TOP - 1) }
+            if life(row)[0] == f32::NEG_INFINITY {
+                0
+            } else {
+                codes.life.code(life(row)[0]).max(1)
+            }
+        });
+        column(2, &|row| {
+            if life(row)[1] == f32::INFINITY {
+                LIFE_TOP
+            } else {
+                codes.life.code(life(row)[1]).min(LIFE_TOP - 1)
+            }
         });
         for k in 0..BINDING_NODES {
             column(2, &|row| u32::from(self.binding(row).nodes[k]));
@@ -108,21 +149,34 @@ impl<'a> Bound<'a> {
                 None => window.anchors()[node][k],
                 Some(key) => window.poses(key)[node].position[k],
             };
-            let values = self.steps(1, (1 << 24) - 1, |window, row, node| sinh.code(rows(window, row, node)));
+            let values = self.steps(1, (1 << 24) - 1, |window, row, node| {
+                sinh.code(rows(window, row, node))
+            });
             push_planes(bytes, 3, &values);
         }
-        let turn = |window: &Window, key: usize, node: usize| turn_code(window.poses(key)[node].rotation);
-        let left_out = self.windows.iter().flat_map(|w| (0..w.keys().len()).flat_map(|key| w.poses(key)));
+        let turn =
+            |window: &Window, key: usize, node: usize| turn_code(window.poses(key)[node].rotation);
+        let left_out = self
+            .windows
+            .iter()
+            .flat_map(|w| (0..w.keys().len()).flat_map(|key| w.poses(key)));
         let left_out: Vec<u32> = left_out.map(|pose| turn_code(pose.rotation).0).collect();
         push_planes(bytes, 1, &left_out);
         for k in 0..3 {
-            let values = self.steps(0, TURN_TOP, |window, key, node| turn(window, key, node).1[k]);
+            let values = self.steps(0, TURN_TOP, |window, key, node| {
+                turn(window, key, node).1[k]
+            });
             push_planes(bytes, 2, &values);
         }
     }
 
     /// Codes of all nodes of all windows, as differences from row to row; `more` rows than keys.
-    fn steps(&self, more: usize, top: u32, code: impl Fn(&Window, usize, usize) -> u32) -> Vec<u32> {
+    fn steps(
+        &self,
+        more: usize,
+        top: u32,
+        code: impl Fn(&Window, usize, usize) -> u32,
+    ) -> Vec<u32> {
         let mut out = Vec::new();
         for window in &self.windows {
             let mut before = vec![0u32; window.anchors().len()];
@@ -145,12 +199,16 @@ pub(in super::super) struct Codes {
 }
 
 impl Codes {
-    /// `px` is the size of a pixel at the median depth, world units, `colour_step` that of a colour coefficient.
+    /// `px` is the size of a pixel at the median depth, world units, `colour_step` that of a colour
+    /// coefficient.
     pub fn of(bound: &Bound<'_>, scene: &Scene, px: f64, colour_step: f64) -> Self {
         let last = scene.time_frames.saturating_sub(1) as f64;
         let window = |row: usize| &bound.splats.windows()[bound.binding(row).window as usize];
-        let lives: Vec<[f32; 2]> =
-            bound.rows.iter().map(|&row| clipped(bound.binding(row), window(row), last)).collect();
+        let lives: Vec<[f32; 2]> = bound
+            .rows
+            .iter()
+            .map(|&row| clipped(bound.binding(row), window(row), last))
+            .collect();
         let mut reaches: Vec<f64> = bound
             .rows
             .iter()
@@ -164,12 +222,20 @@ impl Codes {
             })
             .collect();
         let half = reaches.len() / 2;
-        let reach = if reaches.is_empty() { 1.0 } else { *reaches.select_nth_unstable_by(half, f64::total_cmp).1 };
+        let reach = if reaches.is_empty() {
+            1.0
+        } else {
+            *reaches.select_nth_unstable_by(half, f64::total_cmp).1
+        };
         let ends = lives.iter().flatten().copied().filter(|v| v.is_finite());
         // the first and the last code are for what is not finite
         let inner = Linear::over(ends, f64::from(LIFE_TOP - 2), f64::INFINITY);
         Self {
-            life: Linear { low: inner.low - inner.step, step: inner.step, top: f64::from(LIFE_TOP) },
+            life: Linear {
+                low: inner.low - inner.step,
+                step: inner.step,
+                top: f64::from(LIFE_TOP),
+            },
             residual: Sinh::velocity(px / reach, 1.0 / VELOCITY_STEPS),
             trend: Sinh::trend(colour_step / reach / TREND_STEP, TREND_STEP),
         }
@@ -184,13 +250,18 @@ fn birth(splats: &Splats, row: usize) -> (usize, f32) {
     let t = splats.column(Column::TimeMean, 0)[i];
     let after = keys.partition_point(|&key| key < t).min(keys.len() - 1);
     let before = after.saturating_sub(1);
-    let index = if (t - keys[before]).abs() < (keys[after] - t).abs() { before } else { after };
+    let index = if (t - keys[before]).abs() < (keys[after] - t).abs() {
+        before
+    } else {
+        after
+    };
     (index, keys[index])
 }
 
 /// Frames from the time mean of a bound splat to the key that it is stored at.
 pub(in super::super) fn reborn(splats: &Splats, row: usize) -> f64 {
-    f64::from(birth(splats, row).1) - f64::from(splats.column(Column::TimeMean, 0)[row - splats.n_static()])
+    f64::from(birth(splats, row).1)
+        - f64::from(splats.column(Column::TimeMean, 0)[row - splats.n_static()])
 }
 
 /// A life without ends that no frame shows.
@@ -198,12 +269,21 @@ fn clipped(binding: &Binding, window: &Window, last: f64) -> [f32; 2] {
     let half = FADE * f64::from(window.gap());
     let [begin, end] = binding.life;
     [
-        if f64::from(begin) + half <= 0.0 { f32::NEG_INFINITY } else { begin },
-        if f64::from(end) - half >= last { f32::INFINITY } else { end },
+        if f64::from(begin) + half <= 0.0 {
+            f32::NEG_INFINITY
+        } else {
+            begin
+        },
+        if f64::from(end) - half >= last {
+            f32::INFINITY
+        } else {
+            end
+        },
     ]
 }
 
-/// The largest presence of a splat from frame 0 to `last`; 0 where its life or its weights are no numbers.
+/// The largest presence of a splat from frame 0 to `last`; 0 where its life or its weights are no
+/// numbers.
 fn peak(binding: &Binding, window: &Window, last: f64) -> f64 {
     let [from, to] = reach(window);
     let (from, to) = (from.max(0.0), to.min(last));
@@ -216,13 +296,23 @@ fn peak(binding: &Binding, window: &Window, last: f64) -> f64 {
         (true, false) => to,
         _ => from,
     };
-    presence(middle.clamp(from, to), [begin, end], FADE * f64::from(window.gap()))
+    presence(
+        middle.clamp(from, to),
+        [begin, end],
+        FADE * f64::from(window.gap()),
+    )
 }
 
 fn is_finite(window: &Window) -> bool {
-    let pose =
-        |p: &Pose| p.position.iter().chain(&p.rotation).all(|v| v.is_finite()) && p.rotation.iter().any(|v| *v != 0.0);
-    window.keys().iter().chain(window.anchors().iter().flatten()).all(|v| v.is_finite())
+    let pose = |p: &Pose| {
+        p.position.iter().chain(&p.rotation).all(|v| v.is_finite())
+            && p.rotation.iter().any(|v| *v != 0.0)
+    };
+    window
+        .keys()
+        .iter()
+        .chain(window.anchors().iter().flatten())
+        .all(|v| v.is_finite())
         && (0..window.keys().len()).all(|key| window.poses(key).iter().all(pose))
 }
 
@@ -238,7 +328,10 @@ fn weight_codes(weights: [f32; BINDING_NODES]) -> [u32; BINDING_NODES] {
     let mut order = [0, 1, 2, 3];
     order.sort_by(|&a, &b| exact[b].fract().total_cmp(&exact[a].fract()));
     let left = WEIGHT_SUM.saturating_sub(codes.iter().sum());
-    order.iter().take(left as usize).for_each(|&k| codes[k] += 1);
+    order
+        .iter()
+        .take(left as usize)
+        .for_each(|&k| codes[k] += 1);
     codes
 }
 
@@ -256,7 +349,10 @@ mod tests {
             let codes = weight_codes(raw);
             assert_eq!(codes.iter().sum::<u32>(), WEIGHT_SUM);
             for (code, weight) in codes.iter().zip(raw) {
-                assert!((f64::from(*code) - 255.0 * f64::from(weight / sum)).abs() < 1.0, "{codes:?} for {raw:?}");
+                assert!(
+                    (f64::from(*code) - 255.0 * f64::from(weight / sum)).abs() < 1.0,
+                    "{codes:?} for {raw:?}"
+                );
             }
         }
         assert_eq!(weight_codes([1.0, 0.0, 0.0, 0.0]), [255, 0, 0, 0]);

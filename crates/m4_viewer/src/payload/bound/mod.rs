@@ -1,7 +1,8 @@
-//! Bound splats ([`m4_core::Binding`]) in the payload: version 2 of the layout, which pages and programs that read
-//! version 1 alone refuse.
+//! Bound splats ([`m4_core::Binding`]) in the payload: version 2 of the layout, which pages and
+//! programs that read version 1 alone refuse.
 //!
-//! A scene with bound splats has [`VERSION_BOUND`] in its header, and behind the header of version 1
+//! A scene with bound splats has [`VERSION_BOUND`] in its header, and behind the header of version
+//! 1
 //!
 //! | offset | type | what |
 //! |---|---|---|
@@ -12,9 +13,10 @@
 //! | 176 | 2 x f64 | `trend_spread`, per frame; `trend_step` |
 //! | 192 | `windows` x 3 x u32 | of each window: bound splats, keys, nodes |
 //!
-//! Bound splats lie in the order of their windows, those of a window in that of their nodes. The planes begin behind that
-//! table. Time mean, time sd and velocity are those of the other dynamic splats alone ("free"). The opacity of a bound
-//! splat is at most 1 - 1/2048, so that it can fade in optical depth. Behind the planes of free splats, in the same form:
+//! Bound splats lie in the order of their windows, those of a window in that of their nodes. The
+//! planes begin behind that table. Time mean, time sd and velocity are those of the other dynamic
+//! splats alone ("free"). The opacity of a bound splat is at most 1 - 1/2048, so that it can fade
+//! in optical depth. Behind the planes of free splats, in the same form:
 //!
 //! | parameter | components | bytes | splats | value |
 //! |---|---|---|---|---|
@@ -25,8 +27,8 @@
 //! | nodes | 4 | 2 | bound | nodes of the window |
 //! | weights | 3 | 1 | bound | `q / 255`; the fourth is 1 less their sum |
 //!
-//! Then the windows: the keys of all of them as f32, frames, and planes with a value a node, windows one after the other,
-//! their rows one after the other:
+//! Then the windows: the keys of all of them as f32, frames, and planes with a value a node,
+//! windows one after the other, their rows one after the other:
 //!
 //! | parameter | components | bytes | rows of a window | value |
 //! |---|---|---|---|---|
@@ -34,12 +36,14 @@
 //! | left out | 1 | 1 | one a key | which of `(w, x, y, z)` is the largest: it is positive and follows from the others |
 //! | rotation | 3 | 2 | one a key | the component `k + 1` places after it: `(2 q / 16383 - 1) / sqrt(2)` |
 //!
-//! Nodes move steadily: of positions and rotations there is `2 d` or `-2 d - 1` for `d >= 0` or `d < 0` instead of `q`,
-//! where `d` is `q` less that of the same node in the row before (0 before the first), both modulo 2^24 or 2^14.
+//! Nodes move steadily: of positions and rotations there is `2 d` or `-2 d - 1` for `d >= 0` or
+//! `d < 0` instead of `q`, where `d` is `q` less that of the same node in the row before (0 before
+//! the first), both modulo 2^24 or 2^14.
 //!
-//! A coordinate is off by at most a 64th of a pixel at the median depth, a rotation by at most 0.0003 radians: a hundredth
-//! of a pixel at a distance of 30 pixels from the node. A splat whose time mean is not a key is moved to the nearest one,
-//! with its residual velocity and trend. Windows without splats are left out.
+//! A coordinate is off by at most a 64th of a pixel at the median depth, a rotation by at most
+//! 0.0003 radians: a hundredth of a pixel at a distance of 30 pixels from the node. A splat whose
+//! time mean is not a key is moved to the nearest one, with its residual velocity and trend.
+//! Windows without splats are left out.
 
 mod decode;
 mod encode;
@@ -56,7 +60,8 @@ pub const VERSION_BOUND: u32 = 2;
 const FIXED_BYTES: usize = HEADER_BYTES + 56;
 /// Bytes of a window in that table.
 const TABLE_BYTES: usize = 12;
-/// Half the time in which a splat fades in or out, as a share of the mean time between keys (`m4_kernels::pose`).
+/// Half the time in which a splat fades in or out, as a share of the mean time between keys
+/// (`m4_kernels::pose`).
 const FADE: f64 = 0.6;
 /// A splat that is present by less is not drawn (likewise).
 const LEAST_PRESENCE: f64 = 1e-3;
@@ -68,16 +73,22 @@ const WEIGHT_SUM: u32 = 255;
 const TURN_TOP: u32 = (1 << 14) - 1;
 const MIDDLE_8: f64 = (1u32 << 7) as f64;
 
-/// Components and bytes of what bound splats have beside what all have: residual velocity, trend, birth, life, nodes,
-/// weights.
-pub(super) const BOUND_PARTS: [(usize, usize); 6] = [(3, 2), (3, 1), (1, 2), (2, 2), (4, 2), (3, 1)];
+/// Components and bytes of what bound splats have beside what all have: residual velocity, trend,
+/// birth, life, nodes, weights.
+pub(super) const BOUND_PARTS: [(usize, usize); 6] =
+    [(3, 2), (3, 1), (1, 2), (2, 2), (4, 2), (3, 1)];
 /// Bytes of a node at a key, and of its anchor.
 const POSE_BYTES: u64 = 3 * 3 + 1 + 3 * 2;
 const ANCHOR_BYTES: u64 = 3 * 3;
 
 impl Sinh {
     pub(super) fn trend(spread: f64, step: f64) -> Self {
-        Self { centre: 0.0, spread, step, middle: MIDDLE_8 }
+        Self {
+            centre: 0.0,
+            spread,
+            step,
+            middle: MIDDLE_8,
+        }
     }
 }
 
@@ -85,10 +96,20 @@ impl Sinh {
 fn turn_code([w, x, y, z]: [f32; 4]) -> (u32, [u32; 3]) {
     let quat = [w, x, y, z].map(f64::from);
     let length = quat.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let largest = (1..4).fold(0, |best, k| if quat[k].abs() > quat[best].abs() { k } else { best });
+    let largest = (1..4).fold(0, |best, k| {
+        if quat[k].abs() > quat[best].abs() {
+            k
+        } else {
+            best
+        }
+    });
     let scale = quat[largest].signum() * std::f64::consts::SQRT_2 / length;
     let top = f64::from(TURN_TOP);
-    let code = |k: usize| ((quat[(largest + k + 1) % 4] * scale + 1.0) / 2.0 * top).round().clamp(0.0, top) as u32;
+    let code = |k: usize| {
+        ((quat[(largest + k + 1) % 4] * scale + 1.0) / 2.0 * top)
+            .round()
+            .clamp(0.0, top) as u32
+    };
     (largest as u32, std::array::from_fn(code))
 }
 
@@ -105,10 +126,15 @@ fn turn_value(largest: u32, codes: [u32; 3]) -> [f32; 4] {
     quat.map(|v| (v / length) as f32)
 }
 
-/// The difference of two codes, as a code that is small where they are alike; all of `top + 1`, a power of two.
+/// The difference of two codes, as a code that is small where they are alike; all of `top + 1`, a
+/// power of two.
 fn step_code(before: u32, q: u32, top: u32) -> u32 {
     let d = q.wrapping_sub(before) & top;
-    if d > top / 2 { 2 * (top - d) + 1 } else { 2 * d }
+    if d > top / 2 {
+        2 * (top - d) + 1
+    } else {
+        2 * d
+    }
 }
 
 /// The second code of [`step_code`], for any number.

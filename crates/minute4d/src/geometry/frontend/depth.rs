@@ -25,15 +25,31 @@ pub struct MonoClip {
 impl MonoClip {
     /// Depth that the user provides, metres, 0 where unknown.
     pub fn given(metric_m: Vec<Plane<f32>>) -> Self {
-        Self { given: true, metric_m: Some(metric_m), relative: None, fov_rad: None }
+        Self {
+            given: true,
+            metric_m: Some(metric_m),
+            relative: None,
+            fov_rad: None,
+        }
     }
 
-    /// As the classical front end takes it, for cameras whose unit is `unit` metres: relative disparity where both are there, as the one
-    /// with better edges.
+    /// As the classical front end takes it, for cameras whose unit is `unit` metres: relative
+    /// disparity where both are there, as the one with better edges.
     pub fn maps(&self, unit: f64) -> Option<MonoDepth<'_>> {
-        let metric = if self.given { MonoKind::Metric(unit as f32) } else { MonoKind::UpToScale };
-        let relative = self.relative.as_deref().map(|maps| MonoDepth { kind: MonoKind::AffineDisparity, maps });
-        relative.or_else(|| self.metric_m.as_deref().map(|maps| MonoDepth { kind: metric, maps }))
+        let metric = if self.given {
+            MonoKind::Metric(unit as f32)
+        } else {
+            MonoKind::UpToScale
+        };
+        let relative = self.relative.as_deref().map(|maps| MonoDepth {
+            kind: MonoKind::AffineDisparity,
+            maps,
+        });
+        relative.or_else(|| {
+            self.metric_m
+                .as_deref()
+                .map(|maps| MonoDepth { kind: metric, maps })
+        })
     }
 
     /// As the tracker takes it; fails where the maps hold nothing.
@@ -48,9 +64,9 @@ impl MonoClip {
 }
 
 impl Plan {
-    /// Depth of every image from itself alone; `None` where the front end has no network for that. A focal length that is
-    /// known (pixels of the images) is given to networks that take one. Each frame is a step. Fails where a network cannot be loaded or
-    /// fails, or the user stops.
+    /// Depth of every image from itself alone; `None` where the front end has no network for that.
+    /// A focal length that is known (pixels of the images) is given to networks that take one. Each
+    /// frame is a step. Fails where a network cannot be loaded or fails, or the user stops.
     pub fn depth(
         &self,
         images: &[&RgbImage],
@@ -84,7 +100,8 @@ mod networks {
 
     /// Longer side of the stored maps, pixels: those of MegaSaM's metric depth.
     const STORED_SIDE: usize = 640;
-    /// Patches that MoGe-2 cuts an image into on the processor: the fewest that it was trained with. On a GPU it is the most.
+    /// Patches that MoGe-2 cuts an image into on the processor: the fewest that it was trained
+    /// with. On a GPU it is the most.
     const PROCESSOR_TOKENS: usize = 1200;
     const PHASE: &str = "depth from one image";
 
@@ -117,8 +134,12 @@ mod networks {
         device: &Compute,
         load: impl Fn(&Path, &Compute) -> Result<T, LoadError>,
     ) -> Result<Option<T>, Error> {
-        let Some(path) = plan.file(part) else { return Ok(None) };
-        load(path, device).map(Some).map_err(unusable(NetworkMethod::FrontEnd(part)))
+        let Some(path) = plan.file(part) else {
+            return Ok(None);
+        };
+        load(path, device)
+            .map(Some)
+            .map_err(unusable(NetworkMethod::FrontEnd(part)))
     }
 
     impl MonoClip {
@@ -133,34 +154,51 @@ mod networks {
             let progress = steps.observer();
             let moge = load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?;
             let moge = moge.map(|net| Metric::MoGe(Box::new(net)));
-            let unidepth = load(Part::Unidepth, plan, device, |path, on| UniDepth::load(path, on))?;
+            let unidepth = load(Part::Unidepth, plan, device, |path, on| {
+                UniDepth::load(path, on)
+            })?;
             let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
             let networks = Networks {
                 metric: moge.or(unidepth),
-                relative: load(Part::DepthAnything, plan, device, |path, on| DepthAnything::load(path, on))?,
+                relative: load(Part::DepthAnything, plan, device, |path, on| {
+                    DepthAnything::load(path, on)
+                })?,
             };
             if networks.metric.is_none() && networks.relative.is_none() {
                 return Ok(None);
             }
             let name = [Part::Moge, Part::Unidepth, Part::DepthAnything];
-            let name: Vec<&str> = name.into_iter().filter(|&p| plan.frontend.has(p)).map(Part::name).collect();
+            let name: Vec<&str> = name
+                .into_iter()
+                .filter(|&p| plan.frontend.has(p))
+                .map(Part::name)
+                .collect();
             let name = name.join("+");
             let (mut metric_m, mut relative, mut fovs) = (Vec::new(), Vec::new(), Vec::new());
             for (frame, image) in images.iter().enumerate() {
                 if progress.cancelled() {
                     return Err(MegasamError::Cancelled.into());
                 }
-                let failed = |reason: BoxedError| NetworkError::Depth { networks: name.clone(), frame, reason };
+                let failed = |reason: BoxedError| NetworkError::Depth {
+                    networks: name.clone(),
+                    frame,
+                    reason,
+                };
                 let step = format!("depth-{frame:05}");
                 let (measured, disparity) = match steps.load(&step) {
                     Some(made) => made,
                     None => {
-                        let measured = networks.metric.as_ref().map(|n| n.depth(image, focal_px, device));
+                        let measured = networks
+                            .metric
+                            .as_ref()
+                            .map(|n| n.depth(image, focal_px, device));
                         let measured = measured.transpose().map_err(failed)?;
                         let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
                         let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
-                        let made =
-                            (measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)), disparity.map(limited));
+                        let made = (
+                            measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)),
+                            disparity.map(limited),
+                        );
                         steps.store(&step, &made);
                         made
                     }
@@ -182,7 +220,8 @@ mod networks {
             fovs.sort_unstable_by(f64::total_cmp);
             Ok(Some(Self {
                 given: false,
-                fov_rad: (!fovs.is_empty()).then(|| 0.5 * (fovs[fovs.len() / 2] + fovs[(fovs.len() - 1) / 2])),
+                fov_rad: (!fovs.is_empty())
+                    .then(|| 0.5 * (fovs[fovs.len() / 2] + fovs[(fovs.len() - 1) / 2])),
                 metric_m: networks.metric.is_some().then_some(metric_m),
                 relative: networks.relative.is_some().then_some(relative),
             }))
@@ -197,21 +236,25 @@ mod networks {
             focal_px: Option<f64>,
             device: &Compute,
         ) -> Result<(Plane<f32>, Option<f64>), BoxedError> {
-            let moge =
-                MoGeOptions { tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS), known_focal_px: focal_px };
+            let moge = MoGeOptions {
+                tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS),
+                known_focal_px: focal_px,
+            };
             match self {
                 Self::MoGe(net) => match net.infer(image, &moge) {
                     Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
                     // all sky, or no points of a camera: nothing is known
-                    Err(NetError::NoDepth(_)) => Ok((Plane::filled(image.width(), image.height(), 0.0), None)),
+                    Err(NetError::NoDepth(_)) => {
+                        Ok((Plane::filled(image.width(), image.height(), 0.0), None))
+                    }
                     Err(error) => Err(error.into()),
                 },
                 Self::UniDepth(net) => {
                     // MegaSaM hands it images of this size.
                     let (w, h) = image.size();
                     let side = |n: usize| (n * STORED_SIDE.min(w.max(h)) / w.max(h).max(1)).max(1);
-                    let small =
-                        resize_rgb(image, side(w), side(h), ResizeFilter::Triangle).ok_or("the image is empty")?;
+                    let small = resize_rgb(image, side(w), side(h), ResizeFilter::Triangle)
+                        .ok_or("the image is empty")?;
                     let map = net.depth(&small)?;
                     Ok((map.depth_m, Some(map.camera.horizontal_fov_rad())))
                 }

@@ -9,8 +9,8 @@ use m4_geometry::classical::dense::{MeasureFlow, SourceError};
 use m4_geometry::flow::InverseSearch;
 
 impl Plan {
-    /// Measures flow between neighbouring frames of a clip; a recurrent network takes `iterations`. What was measured is kept among
-    /// `steps`. Fails if weights cannot be used.
+    /// Measures flow between neighbouring frames of a clip; a recurrent network takes `iterations`.
+    /// What was measured is kept among `steps`. Fails if weights cannot be used.
     pub fn flow<'a>(
         &self,
         iterations: usize,
@@ -19,15 +19,19 @@ impl Plan {
     ) -> Result<Box<MeasureFlow<'a>>, Error> {
         #[cfg(feature = "nets")]
         if let Some(net) = self.raft(device)? {
-            return Ok(Box::new(move |i, a, b| kept(steps, i, || raft::measure(&net, a, b, iterations))));
+            return Ok(Box::new(move |i, a, b| {
+                kept(steps, i, || raft::measure(&net, a, b, iterations))
+            }));
         }
         let _ = (iterations, device);
-        Ok(Box::new(move |i, a, b| kept(steps, i, || Ok(InverseSearch.both(a, b)))))
+        Ok(Box::new(move |i, a, b| {
+            kept(steps, i, || Ok(InverseSearch.both(a, b)))
+        }))
     }
 }
 
-/// The flow of frame `i`, measured once: it is asked for again after an interruption, and when depth is estimated again with better
-/// cameras.
+/// The flow of frame `i`, measured once: it is asked for again after an interruption, and when
+/// depth is estimated again with better cameras.
 fn kept(
     steps: Steps<'_>,
     i: usize,
@@ -60,11 +64,15 @@ mod raft {
 
     impl Plan {
         pub(super) fn raft(&self, device: &NetworkDevice) -> Result<Option<Raft>, Error> {
-            let load = |path| Raft::load(path, &device.device).map_err(unusable(NetworkMethod::FrontEnd(Part::Raft)));
+            let load = |path| {
+                Raft::load(path, &device.device)
+                    .map_err(unusable(NetworkMethod::FrontEnd(Part::Raft)))
+            };
             self.file(Part::Raft).map(load).transpose()
         }
 
-        /// RAFT along a clip; `None` if another method measures flow. Fails if its weights cannot be used.
+        /// RAFT along a clip; `None` if another method measures flow. Fails if its weights cannot
+        /// be used.
         pub fn raft_pairs(
             &self,
             iterations: usize,
@@ -72,7 +80,14 @@ mod raft {
         ) -> Result<Option<Box<dyn PairFlow>>, Error> {
             let (there, back) = (HashMap::new(), HashMap::new());
             let raft = self.raft(device)?;
-            Ok(raft.map(|net| Box::new(RaftPairs { net, iterations, there, back }) as Box<dyn PairFlow>))
+            Ok(raft.map(|net| {
+                Box::new(RaftPairs {
+                    net,
+                    iterations,
+                    there,
+                    back,
+                }) as Box<dyn PairFlow>
+            }))
         }
     }
 
@@ -83,13 +98,15 @@ mod raft {
         b: &ScaledFrame,
         iterations: usize,
     ) -> Result<(Flow, Flow), SourceError> {
-        let image = |of: &ScaledFrame| Plane::from_fn(of.width, of.height, |x, y| of.rgb[y * of.width + x]);
+        let image =
+            |of: &ScaledFrame| Plane::from_fn(of.width, of.height, |x, y| of.rgb[y * of.width + x]);
         let (a, b) = (net.encode(&image(a))?, net.encode(&image(b))?);
         let [there, back] = net.flow_both(&a, &b, iterations, None)?;
         Ok((there.flow, back.flow))
     }
 
-    /// RAFT along a clip: a longer step begins with the flow that the shorter one before it found at the same ends.
+    /// RAFT along a clip: a longer step begins with the flow that the shorter one before it found
+    /// at the same ends.
     struct RaftPairs {
         net: Raft,
         iterations: usize,
@@ -104,7 +121,12 @@ mod raft {
             "raft"
         }
 
-        fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], SourceError> {
+        fn both(
+            &mut self,
+            pair: FramePair,
+            a: &RgbImage,
+            b: &RgbImage,
+        ) -> Result<[Flow; 2], SourceError> {
             let begin = match (self.there.get(&pair.source), self.back.get(&pair.target)) {
                 (Some(there), Some(back)) if pair.target > pair.source + 1 => Some([there, back]),
                 _ => None,

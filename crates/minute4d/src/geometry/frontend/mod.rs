@@ -1,4 +1,5 @@
-//! The front end: the methods for cameras, optical flow and monocular depth, with or without networks, in any combination.
+//! The front end: the methods for cameras, optical flow and monocular depth, with or without
+//! networks, in any combination.
 //!
 //! ```text
 //! --frontend WORD+WORD --parse--> Frontend --plan: which weights are here--> Plan

@@ -26,14 +26,18 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Whether cameras come from MegaSaM's tracking network; else from tracked corners and bundle adjustment.
+    /// Whether cameras come from MegaSaM's tracking network; else from tracked corners and bundle
+    /// adjustment.
     pub fn is_megasam(&self) -> bool {
         self.frontend.has(Part::Megasam)
     }
 
     /// Hashes of the networks' weights.
     pub fn hashes(&self) -> Vec<&str> {
-        self.used.iter().map(|network| network.blake3.as_str()).collect()
+        self.used
+            .iter()
+            .map(|network| network.blake3.as_str())
+            .collect()
     }
 
     /// The file of a part's weights.
@@ -51,9 +55,19 @@ fn names(part: Part) -> &'static [&'static str] {
         Part::Megasam => &["megasam"],
         Part::Classical => &[],
         Part::Raft => &["raft-things"],
-        Part::Moge => &["moge-2-l-normal", "moge-2-l", "moge-2-b-normal", "moge-2-b", "moge-2-s-normal"],
+        Part::Moge => &[
+            "moge-2-l-normal",
+            "moge-2-l",
+            "moge-2-b-normal",
+            "moge-2-b",
+            "moge-2-s-normal",
+        ],
         Part::Unidepth => &["unidepth-v2-l"],
-        Part::DepthAnything => &["depth-anything-v1-l", "depth-anything-v1-b", "depth-anything-v1-s"],
+        Part::DepthAnything => &[
+            "depth-anything-v1-l",
+            "depth-anything-v1-b",
+            "depth-anything-v1-s",
+        ],
     }
 }
 
@@ -62,26 +76,39 @@ fn names(part: Part) -> &'static [&'static str] {
 const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
 /// The depth methods, best first.
 #[cfg(feature = "nets")]
-const DEPTHS: [&[Part]; 5] =
-    [&[Part::Moge], &[Part::Unidepth, Part::DepthAnything], &[Part::Unidepth], &[Part::DepthAnything], &[]];
+const DEPTHS: [&[Part]; 5] = [
+    &[Part::Moge],
+    &[Part::Unidepth, Part::DepthAnything],
+    &[Part::Unidepth],
+    &[Part::DepthAnything],
+    &[],
+];
 
-/// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement (docs/geometry.md, "Front ends"); on a GPU that was asked for it is
-/// `megasam` where the weights of all of its parts are here. Fails if weights are missing, or if a requested GPU does not start.
+/// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement
+/// (docs/geometry.md, "Front ends"); on a GPU that was asked for it is `megasam` where the weights
+/// of all of its parts are here. Fails if weights are missing, or if a requested GPU does not
+/// start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let here = |part: Part| part == Part::Classical || installed(names(part)).is_some();
     let mut notes = Vec::new();
     let parts = if asked.is_auto() {
         let best = [Part::Megasam, Part::Raft];
-        let depth = DEPTHS.iter().find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
+        let depth = DEPTHS
+            .iter()
+            .find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
         match depth {
-            Some(depth) if best.iter().all(|&p| here(p)) && device.is_gpu()? => [&best, *depth].concat(),
+            Some(depth) if best.iter().all(|&p| here(p)) && device.is_gpu()? => {
+                [&best, *depth].concat()
+            }
             _ => vec![Part::Classical],
         }
     } else {
         complete(asked, &here, &mut notes)
     };
-    let frontend = Frontend::of(parts.clone()).map_err(|e| Error::Internal { what: e.to_string() })?;
+    let frontend = Frontend::of(parts.clone()).map_err(|e| Error::Internal {
+        what: e.to_string(),
+    })?;
     let (mut used, mut files) = (Vec::new(), Vec::new());
     for part in parts {
         if let Some((network, path)) = network(names(part), true, NetworkMethod::FrontEnd(part))? {
@@ -95,16 +122,30 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
             network.weights, network.licence
         ));
     }
-    Ok(Plan { frontend, used, notes, files })
+    Ok(Plan {
+        frontend,
+        used,
+        notes,
+        files,
+    })
 }
 
 /// Finds what `asked` needs; fails for networks, which the build lacks.
 #[cfg(not(feature = "nets"))]
 pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
-    let network = Part::ALL.into_iter().find(|&p| p != Part::Classical && asked.has(p));
+    let network = Part::ALL
+        .into_iter()
+        .find(|&p| p != Part::Classical && asked.has(p));
     match network {
-        Some(part) => Err(NetworkError::NotBuilt { method: NetworkMethod::FrontEnd(part) }.into()),
-        None => Ok(Plan { frontend: Frontend::classical(), used: Vec::new(), notes: Vec::new() }),
+        Some(part) => Err(NetworkError::NotBuilt {
+            method: NetworkMethod::FrontEnd(part),
+        }
+        .into()),
+        None => Ok(Plan {
+            frontend: Frontend::classical(),
+            used: Vec::new(),
+            notes: Vec::new(),
+        }),
     }
 }
 
@@ -117,16 +158,33 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
         let flow = FLOWS.into_iter().find(|&flow| tracked && here(flow));
         parts.push(flow.unwrap_or(Part::Classical));
     }
-    let has_depth = DEPTHS.iter().flat_map(|depth| depth.iter()).any(|&depth| asked.has(depth));
+    let has_depth = DEPTHS
+        .iter()
+        .flat_map(|depth| depth.iter())
+        .any(|&depth| asked.has(depth));
     if tracked && !has_depth {
-        let depth = DEPTHS.iter().find(|depth| depth.iter().all(|&part| here(part)));
+        let depth = DEPTHS
+            .iter()
+            .find(|depth| depth.iter().all(|&part| here(part)));
         parts.extend(depth.into_iter().flat_map(|depth| depth.iter()));
     }
     if tracked && parts.len() != asked.parts().len() {
-        let chosen: Vec<&str> = parts[asked.parts().len()..].iter().map(|p| p.name()).collect();
-        let depth = parts.iter().any(|p| matches!(p.task(), "metric depth" | "relative depth"));
-        let without = if depth { "" } else { ", and no depth from one image (the weights moge-2-l give one)" };
-        notes.push(format!("megasam takes {}{without}: that is what is here", chosen.join(", ")));
+        let chosen: Vec<&str> = parts[asked.parts().len()..]
+            .iter()
+            .map(|p| p.name())
+            .collect();
+        let depth = parts
+            .iter()
+            .any(|p| matches!(p.task(), "metric depth" | "relative depth"));
+        let without = if depth {
+            ""
+        } else {
+            ", and no depth from one image (the weights moge-2-l give one)"
+        };
+        notes.push(format!(
+            "megasam takes {}{without}: that is what is here",
+            chosen.join(", ")
+        ));
     }
     parts
 }
@@ -150,7 +208,10 @@ mod tests {
     fn every_part_has_weights_that_are_known() {
         for part in Part::ALL {
             assert_eq!(names(part).is_empty(), part == Part::Classical);
-            assert!(names(part).iter().all(|name| weights::find(name).is_ok()), "{part:?}");
+            assert!(
+                names(part).iter().all(|name| weights::find(name).is_ok()),
+                "{part:?}"
+            );
         }
     }
 
@@ -166,7 +227,10 @@ mod tests {
         let (all, notes) = parts("megasam", &[Raft, Moge, Unidepth, DepthAnything]);
         assert_eq!(all, "megasam+raft+moge");
         assert!(notes[0].contains("raft, moge"), "{notes:?}");
-        assert_eq!(parts("megasam", &[Unidepth, DepthAnything]).0, "megasam+classical+unidepth+depth-anything");
+        assert_eq!(
+            parts("megasam", &[Unidepth, DepthAnything]).0,
+            "megasam+classical+unidepth+depth-anything"
+        );
         let (few, notes) = parts("megasam", &[]);
         assert_eq!(few, "megasam+classical");
         assert!(notes[0].contains("no depth"), "{notes:?}");

@@ -21,8 +21,9 @@ pub struct NetworkCorrespondence<'a> {
 }
 
 impl<'a> NetworkCorrespondence<'a> {
-    /// Reads the network of `plan`. `masks` (255 where something moves) are what the user knows better than it; `budget_mb` is
-    /// how much of features and states stays in memory. Fails if its weights cannot be used.
+    /// Reads the network of `plan`. `masks` (255 where something moves) are what the user knows
+    /// better than it; `budget_mb` is how much of features and states stays in memory. Fails if its
+    /// weights cannot be used.
     pub fn load(
         plan: &Plan,
         images: &'a [&'a RgbImage],
@@ -32,9 +33,12 @@ impl<'a> NetworkCorrespondence<'a> {
         device: &Compute,
     ) -> Result<Self, Error> {
         let Some(path) = plan.file(Part::Megasam) else {
-            return Err(Error::Internal { what: "the front end has no tracking network".to_owned() });
+            return Err(Error::Internal {
+                what: "the front end has no tracking network".to_owned(),
+            });
         };
-        let net = DroidNet::load(path, device).map_err(unusable(NetworkMethod::FrontEnd(Part::Megasam)))?;
+        let net = DroidNet::load(path, device)
+            .map_err(unusable(NetworkMethod::FrontEnd(Part::Megasam)))?;
         Ok(Self::new(net, images, masks, size, memory(budget_mb)))
     }
 
@@ -53,7 +57,9 @@ impl<'a> NetworkCorrespondence<'a> {
         let on_grid = |mask: &Mask| {
             let grid = size.grid();
             let scaled = m4_geometry::resample::resize_nearest(mask, size.scaled.0, size.scaled.1);
-            let plane = Plane::from_fn(grid.width, grid.height, |x, y| scaled.row(8 * y)[8 * x] != 0);
+            let plane = Plane::from_fn(grid.width, grid.height, |x, y| {
+                scaled.row(8 * y)[8 * x] != 0
+            });
             plane.into_vec()
         };
         Self {
@@ -79,7 +85,8 @@ fn failed(error: NetError) -> CorrespondenceError {
 impl Correspondence for NetworkCorrespondence<'_> {
     fn change(&mut self, changes: &EdgeChanges) -> Result<(), CorrespondenceError> {
         for key in &changes.entered {
-            self.memory.enter(key.id.number(), key.source_frame, key.target_frame);
+            self.memory
+                .enter(key.id.number(), key.source_frame, key.target_frame);
         }
         for key in &changes.left {
             self.memory.leave(key.id.number());
@@ -99,19 +106,28 @@ impl Correspondence for NetworkCorrespondence<'_> {
                     static_confidence: &mut *edge.static_confidence,
                 })
                 .collect();
-            let eta = self.memory.revise_source(source.frame, &mut edges).map_err(failed)?;
+            let eta = self
+                .memory
+                .revise_source(source.frame, &mut edges)
+                .map_err(failed)?;
             source.damping.copy_from_slice(&eta);
             if let Some(moving) = self.moving.as_ref().and_then(|m| m.get(source.frame)) {
                 for edge in edges {
                     let confident = edge.static_confidence.iter_mut().zip(moving);
-                    confident.filter(|(_, moving)| **moving).for_each(|(m, _)| *m = 0.0);
+                    confident
+                        .filter(|(_, moving)| **moving)
+                        .for_each(|(m, _)| *m = 0.0);
                 }
             }
         }
         Ok(())
     }
 
-    fn motion_px(&mut self, from_frame: usize, to_frame: usize) -> Result<f64, CorrespondenceError> {
+    fn motion_px(
+        &mut self,
+        from_frame: usize,
+        to_frame: usize,
+    ) -> Result<f64, CorrespondenceError> {
         self.memory.motion_px(from_frame, to_frame).map_err(failed)
     }
 }

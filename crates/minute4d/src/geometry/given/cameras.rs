@@ -1,4 +1,5 @@
-//! Reads intrinsics from the command line or a JSON file, and poses from `transforms.json` of our own captures and of nerfstudio.
+//! Reads intrinsics from the command line or a JSON file, and poses from `transforms.json` of our
+//! own captures and of nerfstudio.
 
 use super::{Clip, other_shape, same_shape};
 use crate::{Error, Refusal};
@@ -29,10 +30,13 @@ struct File {
 
 /// `fx,fy,cx,cy`; `None` for the name of a file.
 pub fn numbers(text: &str) -> Option<Vec<f64>> {
-    text.split(',').map(|part| part.trim().parse().ok()).collect()
+    text.split(',')
+        .map(|part| part.trim().parse().ok())
+        .collect()
 }
 
-/// The lens for frames of `size`; refused if it is incomplete, distorted, or of images of another shape.
+/// The lens for frames of `size`; refused if it is incomplete, distorted, or of images of another
+/// shape.
 pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
     let bad = |reason: String| {
         Refusal::bad_input(format!(
@@ -42,11 +46,21 @@ pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
     };
     let lens = match numbers(given) {
         Some(numbers) => match numbers[..] {
-            [fx, fy, cx, cy] => Intrinsics { width: size.0, height: size.1, fx, fy, cx, cy },
-            _ => return Err(bad(format!("{} numbers where 4 were expected", numbers.len())).into()),
+            [fx, fy, cx, cy] => Intrinsics {
+                width: size.0,
+                height: size.1,
+                fx,
+                fy,
+                cx,
+                cy,
+            },
+            _ => {
+                return Err(bad(format!("{} numbers where 4 were expected", numbers.len())).into());
+            }
         },
         None => {
-            let bytes = files::read(Path::new(given), MAX_LENS_BYTES).map_err(Error::read(Path::new(given)))?;
+            let bytes = files::read(Path::new(given), MAX_LENS_BYTES)
+                .map_err(Error::read(Path::new(given)))?;
             let file: File = serde_json::from_slice(files::without_mark(&bytes))
                 .map_err(|e| bad(format!("it is not such JSON ({e})")))?;
             of_file(&file, size).map_err(bad)?
@@ -95,7 +109,8 @@ fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
     Ok(lens.resized(size.0, size.1))
 }
 
-/// A camera per frame. `lens` replaces the lenses of the file. Fails if the file cannot be read or has another number of poses.
+/// A camera per frame. `lens` replaces the lenses of the file. Fails if the file cannot be read or
+/// has another number of poses.
 pub fn poses(path: &Path, clip: &Clip, lens: Option<Intrinsics>) -> Result<Vec<Camera>, Error> {
     let mut cameras = trajectory::read(path, clip.frames)?;
     cameras.sort_by(|a, b| a.1.total_cmp(&b.1));
@@ -118,7 +133,10 @@ mod tests {
     #[test]
     fn numbers_are_of_the_frames() {
         let found = lens("500, 510,310,250", (640, 480)).unwrap();
-        assert_eq!((found.fx, found.fy, found.cx, found.cy), (500.0, 510.0, 310.0, 250.0));
+        assert_eq!(
+            (found.fx, found.fy, found.cx, found.cy),
+            (500.0, 510.0, 310.0, 250.0)
+        );
         for (bad, word) in [
             ("500,510,310", "3 numbers"),
             ("500,510,700,250", "outside"),
@@ -139,7 +157,10 @@ mod tests {
         let name = path.to_str().unwrap();
         write(r#"{"fl_x": 1000, "fl_y": 1010, "cx": 620, "w": 1280, "h": 960}"#);
         let found = lens(name, (640, 480)).unwrap();
-        assert_eq!((found.fx, found.fy, found.cx, found.cy), (500.0, 505.0, 310.0, 240.0));
+        assert_eq!(
+            (found.fx, found.fy, found.cx, found.cy),
+            (500.0, 505.0, 310.0, 240.0)
+        );
         for (text, word) in [
             (r#"{"fl_x": 1000, "k1": 0.1}"#, "distortion"),
             (r#"{"fl_x": 1000, "w": 480, "h": 640}"#, "aspect ratio"),
@@ -148,7 +169,10 @@ mod tests {
         ] {
             write(text);
             let message = lens(name, (640, 480)).unwrap_err().to_string();
-            assert!(message.contains(word) && message.contains("lens.json"), "{message}");
+            assert!(
+                message.contains(word) && message.contains("lens.json"),
+                "{message}"
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the clip, and hashed.
+//! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the
+//! clip, and hashed.
 
 mod cameras;
 
@@ -36,12 +37,18 @@ impl Sources {
         let of = |what: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
             let Some(path) = path else { return Ok(None) };
             if !path.exists() {
-                let message = format!("there is nothing at {}, which was given as {what}", path.display());
+                let message = format!(
+                    "there is nothing at {}, which was given as {what}",
+                    path.display()
+                );
                 return Err(Refusal::new(Category::NoInput, message).into());
             }
             hash::of_path(path).map(Some)
         };
-        let lens_file = options.intrinsics.as_deref().filter(|text| cameras::numbers(text).is_none());
+        let lens_file = options
+            .intrinsics
+            .as_deref()
+            .filter(|text| cameras::numbers(text).is_none());
         Ok(Self {
             intrinsics: of("intrinsics", lens_file.map(Path::new))?,
             poses: of("poses", options.poses.as_deref())?,
@@ -65,26 +72,55 @@ pub(super) struct Given {
 }
 
 impl Given {
-    /// Reads what `options` name for the clip `video` that came from `input`; `focal_px` of the frames where it is known otherwise. Fails
-    /// with the name of a file that is missing, damaged, or does not fit the clip.
-    pub(super) fn read(options: &GeometryOptions, input: &Path, video: &Video, folder_fps: f64) -> Result<Self, Error> {
+    /// Reads what `options` name for the clip `video` that came from `input`; `focal_px` of the
+    /// frames where it is known otherwise. Fails with the name of a file that is missing, damaged,
+    /// or does not fit the clip.
+    pub(super) fn read(
+        options: &GeometryOptions,
+        input: &Path,
+        video: &Video,
+        folder_fps: f64,
+    ) -> Result<Self, Error> {
         if !options.any_given() {
             return Ok(Self::default());
         }
         let clip = Clip::of(input, video, folder_fps)?;
         let lens = options.intrinsics.as_deref();
-        let lens = lens.map(|given| cameras::lens(given, clip.size)).transpose()?;
-        let cameras = options.poses.as_ref().map(|path| cameras::poses(path, &clip, lens)).transpose()?;
-        let masks = options.masks.as_ref().map(|folder| each(&clip, "masks", folder, mask)).transpose()?;
-        let depth = |path: &Path| -> Result<DepthMap, Error> { Ok(read_depth(path, DEPTH_UNIT)?.to_map()) };
-        let depth = options.depth.as_ref().map(|folder| each(&clip, "depth maps", folder, depth)).transpose()?;
+        let lens = lens
+            .map(|given| cameras::lens(given, clip.size))
+            .transpose()?;
+        let cameras = options
+            .poses
+            .as_ref()
+            .map(|path| cameras::poses(path, &clip, lens))
+            .transpose()?;
+        let masks = options
+            .masks
+            .as_ref()
+            .map(|folder| each(&clip, "masks", folder, mask))
+            .transpose()?;
+        let depth =
+            |path: &Path| -> Result<DepthMap, Error> { Ok(read_depth(path, DEPTH_UNIT)?.to_map()) };
+        let depth = options
+            .depth
+            .as_ref()
+            .map(|folder| each(&clip, "depth maps", folder, depth))
+            .transpose()?;
         if let (Some(depth), Some(path)) = (&depth, &options.depth)
             && !depth.iter().flat_map(|d| d.data()).any(|&z| z > 0.0)
         {
-            let message = format!("the depth maps in {} are 0 (unknown) everywhere", path.display());
+            let message = format!(
+                "the depth maps in {} are 0 (unknown) everywhere",
+                path.display()
+            );
             return Err(Refusal::bad_input(message).into());
         }
-        Ok(Self { lens, cameras, masks, depth: depth.map(MonoClip::given) })
+        Ok(Self {
+            lens,
+            cameras,
+            masks,
+            depth: depth.map(MonoClip::given),
+        })
     }
 
     /// Names of what was given, for the record.
@@ -95,7 +131,11 @@ impl Given {
             ("masks", self.masks.is_some()),
             ("depth", self.depth.is_some()),
         ];
-        given.iter().filter(|(_, is)| *is).map(|(name, _)| (*name).to_owned()).collect()
+        given
+            .iter()
+            .filter(|(_, is)| *is)
+            .map(|(name, _)| (*name).to_owned())
+            .collect()
     }
 }
 
@@ -139,7 +179,9 @@ fn same_shape(a: (usize, usize), b: (usize, usize)) -> bool {
 
 /// A mask: whatever is not black; in a JPEG file, which has no pure black, whatever is light.
 fn mask(path: &Path) -> Result<Mask, Error> {
-    let jpeg = path.extension().is_some_and(|e| !e.eq_ignore_ascii_case("png"));
+    let jpeg = path
+        .extension()
+        .is_some_and(|e| !e.eq_ignore_ascii_case("png"));
     if jpeg {
         return Ok(read_mask(path)?.to_mask());
     }
@@ -166,19 +208,28 @@ impl Clip {
         } else {
             None
         };
-        Ok(Self { frames: video.frames.len(), size: video.frames.first().map_or((0, 0), |f| f.rgb.size()), source })
+        Ok(Self {
+            frames: video.frames.len(),
+            size: video.frames.first().map_or((0, 0), |f| f.rgb.size()),
+            source,
+        })
     }
 
-    /// The file in `folder` for every frame: by the names of the frames where they have names, else by order.
+    /// The file in `folder` for every frame: by the names of the frames where they have names, else
+    /// by order.
     pub fn files(&self, what: &'static str, folder: &Path) -> Result<Vec<PathBuf>, Error> {
         if !folder.is_dir() {
-            let source = std::io::Error::new(std::io::ErrorKind::NotADirectory, "a folder was expected");
+            let source =
+                std::io::Error::new(std::io::ErrorKind::NotADirectory, "a folder was expected");
             let path = folder.to_path_buf();
             return Err(Error::Read { path, source });
         }
         let files = image_files(folder)?;
         if let Some((all, chosen)) = &self.source {
-            let by_name: HashMap<&OsStr, &PathBuf> = files.iter().filter_map(|p| Some((p.file_stem()?, p))).collect();
+            let by_name: HashMap<&OsStr, &PathBuf> = files
+                .iter()
+                .filter_map(|p| Some((p.file_stem()?, p)))
+                .collect();
             let named = |&i: &usize| Some((*by_name.get(all.get(i)?.file_stem()?)?).clone());
             if let Some(named) = chosen.iter().map(named).collect::<Option<Vec<_>>>() {
                 return Ok(named);
@@ -187,8 +238,14 @@ impl Clip {
         self.in_order(what, folder, files)
     }
 
-    /// One of `items` per frame, in order: as many as the frames, or as the images that the frames were chosen from.
-    pub fn in_order<T: Clone>(&self, what: &'static str, path: &Path, items: Vec<T>) -> Result<Vec<T>, Error> {
+    /// One of `items` per frame, in order: as many as the frames, or as the images that the frames
+    /// were chosen from.
+    pub fn in_order<T: Clone>(
+        &self,
+        what: &'static str,
+        path: &Path,
+        items: Vec<T>,
+    ) -> Result<Vec<T>, Error> {
         if items.len() == self.frames {
             return Ok(items);
         }

@@ -19,18 +19,28 @@ pub(in crate::render) struct ImageWriters {
 
 impl ImageWriters {
     pub fn new(folder: PathBuf) -> Self {
-        Self { folder, next: 0, most: rayon::current_num_threads(), running: VecDeque::new() }
+        Self {
+            folder,
+            next: 0,
+            most: rayon::current_num_threads(),
+            running: VecDeque::new(),
+        }
     }
 
-    /// Writes the next image. Fails if an earlier one could not be written, or no thread can be started.
+    /// Writes the next image. Fails if an earlier one could not be written, or no thread can be
+    /// started.
     pub fn push(&mut self, rgb: RgbImage) -> Result<(), Error> {
         while self.running.len() >= self.most {
             self.oldest()?;
         }
         let path = self.folder.join(numbered(self.next));
         self.next += 1;
-        let thread = thread::Builder::new().name("image".to_owned()).spawn(move || image::write_rgb(&path, &rgb));
-        let no_thread = |error| Error::Internal { what: format!("no thread can be started: {error}") };
+        let thread = thread::Builder::new()
+            .name("image".to_owned())
+            .spawn(move || image::write_rgb(&path, &rgb));
+        let no_thread = |error| Error::Internal {
+            what: format!("no thread can be started: {error}"),
+        };
         self.running.push_back(thread.map_err(no_thread)?);
         Ok(())
     }
@@ -44,7 +54,9 @@ impl ImageWriters {
     }
 
     fn oldest(&mut self) -> Result<(), Error> {
-        let Some(thread) = self.running.pop_front() else { return Ok(()) };
+        let Some(thread) = self.running.pop_front() else {
+            return Ok(());
+        };
         Ok(thread.join().unwrap_or_else(|panic| resume_unwind(panic))?)
     }
 }
@@ -52,7 +64,9 @@ impl ImageWriters {
 impl Drop for ImageWriters {
     /// Waits, so that no image appears in a folder that was given up.
     fn drop(&mut self) {
-        self.running.drain(..).for_each(|thread| drop(thread.join()));
+        self.running
+            .drain(..)
+            .for_each(|thread| drop(thread.join()));
     }
 }
 

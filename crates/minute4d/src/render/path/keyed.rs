@@ -33,7 +33,11 @@ enum Interpolation {
     /// Position and direction apart.
     Poses(PoseSpline),
     /// Every keyframe looks at a point: so does every camera between.
-    Targets { centres: Spline<3>, targets: Spline<3>, downs: Spline<3> },
+    Targets {
+        centres: Spline<3>,
+        targets: Spline<3>,
+        downs: Spline<3>,
+    },
 }
 
 impl KeyedPath {
@@ -52,7 +56,10 @@ impl KeyedPath {
             Some(degrees) => 0.5 / (0.5 * degrees).to_radians().tan(),
             None => k.fy / k.height as f64,
         };
-        let zoom = order.iter().map(|i| Vector1::new(focal(&keys[*i]).ln())).collect();
+        let zoom = order
+            .iter()
+            .map(|i| Vector1::new(focal(&keys[*i]).ln()))
+            .collect();
         Ok(Self {
             start_s: first.time_s,
             seconds,
@@ -71,7 +78,10 @@ impl KeyedPath {
         let (width, height) = self.size;
         let focal_px = self.zoom.at(time).x.exp() * height as f64;
         Stop {
-            camera: Camera { intrinsics: Intrinsics::centred(width, height, focal_px), c2w: self.way.at(time) },
+            camera: Camera {
+                intrinsics: Intrinsics::centred(width, height, focal_px),
+                c2w: self.way.at(time),
+            },
             t: straight(&self.clock, time).clamp(0.0, self.last_frame),
             exposure: Exposure::IDENTITY,
         }
@@ -83,19 +93,30 @@ impl Interpolation {
         let looks: Option<Vec<[Vector3<f64>; 3]>> = order
             .iter()
             .map(|i| match keys[*i].pose {
-                KeyPose::LookAt { position, look_at, up } => {
-                    Some([position, look_at, up.map_or(*down, |up| -up.normalize())])
-                }
+                KeyPose::LookAt {
+                    position,
+                    look_at,
+                    up,
+                } => Some([position, look_at, up.map_or(*down, |up| -up.normalize())]),
                 KeyPose::C2w(_) => None,
             })
             .collect();
         if let Some(looks) = looks {
-            let part = |k: usize| Spline::new(times.to_vec(), looks.iter().map(|look| look[k]).collect());
-            return Self::Targets { centres: part(0), targets: part(1), downs: part(2) };
+            let part =
+                |k: usize| Spline::new(times.to_vec(), looks.iter().map(|look| look[k]).collect());
+            return Self::Targets {
+                centres: part(0),
+                targets: part(1),
+                downs: part(2),
+            };
         }
         let poses = order.iter().map(|i| match keys[*i].pose {
             KeyPose::C2w(pose) => pose,
-            KeyPose::LookAt { position, look_at, up } => looking(position, &look_at, &up.map_or(*down, |up| -up)),
+            KeyPose::LookAt {
+                position,
+                look_at,
+                up,
+            } => looking(position, &look_at, &up.map_or(*down, |up| -up)),
         });
         Self::Poses(PoseSpline::new(times.to_vec(), poses.collect()))
     }
@@ -103,12 +124,17 @@ impl Interpolation {
     fn at(&self, time: f64) -> m4_core::Se3<f64> {
         match self {
             Self::Poses(poses) => poses.at(time),
-            Self::Targets { centres, targets, downs } => looking(centres.at(time), &targets.at(time), &downs.at(time)),
+            Self::Targets {
+                centres,
+                targets,
+                downs,
+            } => looking(centres.at(time), &targets.at(time), &downs.at(time)),
         }
     }
 }
 
-/// Keyframes in the order of the nodes, and the times of the nodes; a closed path continues beyond its ends.
+/// Keyframes in the order of the nodes, and the times of the nodes; a closed path continues beyond
+/// its ends.
 fn nodes(keys: &[Keyframe], period: Option<f64>) -> (Vec<usize>, Vec<f64>) {
     let n = keys.len();
     let Some(period) = period else {
@@ -126,13 +152,30 @@ fn nodes(keys: &[Keyframe], period: Option<f64>) -> (Vec<usize>, Vec<f64>) {
 /// Downwards in the images of the source, on the whole.
 fn mean_down(source: &SourcePath) -> Vector3<f64> {
     let (first, last) = source.span();
-    let down = |share: f64| source.at(first + (last - first) * share).camera.c2w.rotation.column(1).into_owned();
+    let down = |share: f64| {
+        source
+            .at(first + (last - first) * share)
+            .camera
+            .c2w
+            .rotation
+            .column(1)
+            .into_owned()
+    };
     let sum = (0..=8).fold(Vector3::zeros(), |sum, i| sum + down(f64::from(i) / 8.0));
-    if sum.norm() > 1e-3 { sum.normalize() } else { down(0.0) }
+    if sum.norm() > 1e-3 {
+        sum.normalize()
+    } else {
+        down(0.0)
+    }
 }
 
 /// Moments of the scene at the keyframes, and at the end of a closed path.
-fn clock(keys: &[Keyframe], period: Option<f64>, frames_per_s: f64, span: &Span) -> Result<Vec<(f64, f64)>, TimeError> {
+fn clock(
+    keys: &[Keyframe],
+    period: Option<f64>,
+    frames_per_s: f64,
+    span: &Span,
+) -> Result<Vec<(f64, f64)>, TimeError> {
     let named = |scene: SceneTime| {
         span.frames(match scene {
             SceneTime::Frames(t) => Moment::Frames(t),
@@ -157,7 +200,10 @@ fn clock(keys: &[Keyframe], period: Option<f64>, frames_per_s: f64, span: &Span)
 /// The value at `x` on the straight lines between the points; outside, that of the nearest.
 fn straight(points: &[(f64, f64)], x: f64) -> f64 {
     let next = points.partition_point(|p| p.0 <= x);
-    match (next.checked_sub(1).and_then(|i| points.get(i)), points.get(next)) {
+    match (
+        next.checked_sub(1).and_then(|i| points.get(i)),
+        points.get(next),
+    ) {
         (Some(a), Some(b)) => a.1 + (b.1 - a.1) * (x - a.0) / (b.0 - a.0),
         (Some(only), None) | (None, Some(only)) => only.1,
         (None, None) => 0.0,

@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 const MAX_FRAMES: usize = 100_000;
 /// Length of a swing, seconds; it goes there and back twice.
 const SWING_S: f64 = 4.0;
-/// Sources with fewer frames per second than this do not look smooth, so paths that can have more get
-/// [`super::DEFAULT_FPS`].
+/// Sources with fewer frames per second than this do not look smooth, so paths that can have more
+/// get [`super::DEFAULT_FPS`].
 const SMOOTH_FPS: f64 = 20.0;
 /// The words for camera paths.
 pub const WORDS: [&str; 5] = ["train", "source", "stabilised", "swing", "bullet"];
@@ -91,28 +91,49 @@ impl CameraPath {
     ///
     /// # Errors
     ///
-    /// [`Error::Refused`] for options that cannot work, [`Error::Time`] for moments outside the scene,
-    /// [`Error::Data`] for a file that cannot be used.
-    pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>, job: &RenderJob) -> Result<Plan, Error> {
+    /// [`Error::Refused`] for options that cannot work, [`Error::Time`] for moments outside the
+    /// scene, [`Error::Data`] for a file that cannot be used.
+    pub fn plan(
+        &self,
+        scene: &Scene,
+        painter: &mut Painter<'_>,
+        job: &RenderJob,
+    ) -> Result<Plan, Error> {
         job.options.check(self)?;
         let fps = job.fps.unwrap_or_else(|| self.own_fps(scene));
         if let Self::File(path) = self {
             return file(path, scene, job);
         }
         let source = SourcePath::new(scene, &self.to_string())?;
-        let made = Maker { scene, source: &source, options: &job.options, fps, at: anchor(job, &span(scene))? };
-        Ok(Plan { stops: made.stops(self, painter)?, fps })
+        let made = Maker {
+            scene,
+            source: &source,
+            options: &job.options,
+            fps,
+            at: anchor(job, &span(scene))?,
+        };
+        Ok(Plan {
+            stops: made.stops(self, painter)?,
+            fps,
+        })
     }
 
     fn own_fps(&self, scene: &Scene) -> f64 {
         let own = source_fps(scene);
-        if *self == Self::Train || own >= SMOOTH_FPS { own } else { super::DEFAULT_FPS }
+        if *self == Self::Train || own >= SMOOTH_FPS {
+            own
+        } else {
+            super::DEFAULT_FPS
+        }
     }
 }
 
 /// The duration of a scene.
 pub fn span(scene: &Scene) -> Span {
-    Span { time_frames: scene.time_frames, duration_s: scene.duration_s }
+    Span {
+        time_frames: scene.time_frames,
+        duration_s: scene.duration_s,
+    }
 }
 
 /// The moment that was asked for, frames: where to start, or where time is frozen.
@@ -121,7 +142,12 @@ fn anchor(job: &RenderJob, span: &Span) -> Result<Option<f64>, Error> {
         TimePath::Freeze(moment) => Some(moment),
         _ => None,
     };
-    Ok(job.options.at.or(frozen).map(|m| span.frames(m)).transpose()?)
+    Ok(job
+        .options
+        .at
+        .or(frozen)
+        .map(|m| span.frames(m))
+        .transpose()?)
 }
 
 /// Images of an open path: one at both ends, if the rate meets them.
@@ -178,7 +204,9 @@ impl Maker<'_> {
         let seconds = self.options.seconds.unwrap_or(own_s);
         let pace = if seconds > 0.0 { own_s / seconds } else { 0.0 };
         let n = open_frames(seconds, self.fps)?;
-        Ok((0..n).map(|i| stop(self.source.moment(pace * i as f64 / self.fps))).collect())
+        Ok((0..n)
+            .map(|i| stop(self.source.moment(pace * i as f64 / self.fps)))
+            .collect())
     }
 
     fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
@@ -216,37 +244,60 @@ impl Maker<'_> {
 
     /// Where a path starts: at the moment asked for, or at the source's middle frame.
     fn region(&self, painter: &mut Painter<'_>) -> Region {
-        let middle = self.scene.source.get(self.scene.source.len() / 2).map_or(0.0, |s| s.t);
+        let middle = self
+            .scene
+            .source
+            .get(self.scene.source.len() / 2)
+            .map_or(0.0, |s| s.t);
         let stop = self.source.at(self.at.unwrap_or(middle));
         Region::of(self.scene, painter, stop)
     }
 }
 
 fn stop_of(frame: &m4_core::SourceFrame) -> Stop {
-    Stop { camera: frame.camera, t: frame.t, exposure: frame.exposure }
+    Stop {
+        camera: frame.camera,
+        t: frame.t,
+        exposure: frame.exposure,
+    }
 }
 
 fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
     if path.extension().is_none() && !path.exists() {
         let (name, words) = (path.display().to_string(), WORDS.join(", "));
-        return Err(
-            Refusal::usage(format!("there is no camera path {name:?}; write {words}, or the name of a file")).into()
-        );
+        return Err(Refusal::usage(format!(
+            "there is no camera path {name:?}; write {words}, or the name of a file"
+        ))
+        .into());
     }
     match trajectory::load(path, scene.time_frames)? {
         Trajectory::Listed(listed) => {
             if job.options.seconds.is_some() {
                 return Err(unused("seconds", &path.display().to_string(), &[]).into());
             }
-            let stops = listed.into_iter().map(|(camera, t)| Stop { camera, t, exposure: Exposure::IDENTITY });
-            Ok(Plan { stops: stops.collect(), fps: job.fps.unwrap_or_else(|| source_fps(scene)) })
+            let stops = listed.into_iter().map(|(camera, t)| Stop {
+                camera,
+                t,
+                exposure: Exposure::IDENTITY,
+            });
+            Ok(Plan {
+                stops: stops.collect(),
+                fps: job.fps.unwrap_or_else(|| source_fps(scene)),
+            })
         }
         Trajectory::Keyed(keyed) => {
             let source = SourcePath::new(scene, &path.display().to_string())?;
             let through = KeyedPath::new(&keyed, &source, &span(scene))?;
-            let fps = job.fps.or(keyed.fps).unwrap_or_else(|| CameraPath::Source.own_fps(scene));
+            let fps = job
+                .fps
+                .or(keyed.fps)
+                .unwrap_or_else(|| CameraPath::Source.own_fps(scene));
             let seconds = job.options.seconds.unwrap_or(through.seconds);
-            let pace = if seconds > 0.0 { through.seconds / seconds } else { 0.0 };
+            let pace = if seconds > 0.0 {
+                through.seconds / seconds
+            } else {
+                0.0
+            };
             let n = if through.closed {
                 closed_frames(seconds, fps)?
             } else if through.seconds > 0.0 {
@@ -254,7 +305,10 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
             } else {
                 1
             };
-            Ok(Plan { stops: (0..n).map(|i| through.at(pace * i as f64 / fps)).collect(), fps })
+            Ok(Plan {
+                stops: (0..n).map(|i| through.at(pace * i as f64 / fps)).collect(),
+                fps,
+            })
         }
     }
 }

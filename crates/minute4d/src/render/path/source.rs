@@ -19,7 +19,8 @@ pub struct SourcePath {
 }
 
 impl SourcePath {
-    /// The source cameras of a scene; of several cameras at one moment the first. `path` is for the message.
+    /// The source cameras of a scene; of several cameras at one moment the first. `path` is for the
+    /// message.
     ///
     /// # Errors
     ///
@@ -40,7 +41,12 @@ impl SourcePath {
             Some(duration_s) if duration_s > 0.0 && last > 0.0 => last / duration_s,
             _ => DEFAULT_FPS,
         };
-        Ok(Self { poses: PoseSpline::new(times.clone(), poses), frames, times, frames_per_s })
+        Ok(Self {
+            poses: PoseSpline::new(times.clone(), poses),
+            frames,
+            times,
+            frames_per_s,
+        })
     }
 
     /// First and last moment, frames.
@@ -64,14 +70,25 @@ impl SourcePath {
     pub fn at(&self, t: f64) -> Stop {
         let last = self.times.len() - 1;
         let next = self.times.partition_point(|time| *time <= t).min(last);
-        let before = if self.times[next] <= t { next } else { next.saturating_sub(1) };
+        let before = if self.times[next] <= t {
+            next
+        } else {
+            next.saturating_sub(1)
+        };
         let (a, b) = (&self.frames[before], &self.frames[next]);
         let gap = self.times[next] - self.times[before];
-        let u = if gap > 0.0 { ((t - self.times[before]) / gap).clamp(0.0, 1.0) } else { 0.0 };
+        let u = if gap > 0.0 {
+            ((t - self.times[before]) / gap).clamp(0.0, 1.0)
+        } else {
+            0.0
+        };
         let size = &self.frames[0].camera.intrinsics;
         let lens = |frame: &SourceFrame| frame.camera.intrinsics.resized(size.width, size.height);
         Stop {
-            camera: Camera { intrinsics: between_lenses(&lens(a), &lens(b), u), c2w: self.poses.at(t) },
+            camera: Camera {
+                intrinsics: between_lenses(&lens(a), &lens(b), u),
+                c2w: self.poses.at(t),
+            },
             t,
             exposure: between_exposures(&a.exposure, &b.exposure, u),
         }
@@ -80,13 +97,21 @@ impl SourcePath {
 
 fn between_lenses(a: &Intrinsics, b: &Intrinsics, u: f64) -> Intrinsics {
     let mix = |x: f64, y: f64| x + (y - x) * u;
-    Intrinsics { fx: mix(a.fx, b.fx), fy: mix(a.fy, b.fy), cx: mix(a.cx, b.cx), cy: mix(a.cy, b.cy), ..*a }
+    Intrinsics {
+        fx: mix(a.fx, b.fx),
+        fy: mix(a.fy, b.fy),
+        cx: mix(a.cx, b.cx),
+        cy: mix(a.cy, b.cy),
+        ..*a
+    }
 }
 
 fn between_exposures(a: &Exposure, b: &Exposure, u: f64) -> Exposure {
     let mix = |x: f32, y: f32| x + (y - x) * u as f32;
     Exposure {
-        matrix: std::array::from_fn(|i| std::array::from_fn(|j| mix(a.matrix[i][j], b.matrix[i][j]))),
+        matrix: std::array::from_fn(|i| {
+            std::array::from_fn(|j| mix(a.matrix[i][j], b.matrix[i][j]))
+        }),
         offset: std::array::from_fn(|i| mix(a.offset[i], b.offset[i])),
     }
 }
@@ -100,22 +125,30 @@ const WINDOW_SIGMAS: f64 = 3.0;
 
 /// Standard deviation of the smoothing, seconds.
 const SMOOTH_S: f64 = 0.5;
-/// Furthest that the smoothed camera leaves the source, as a share of the distance of what it looks at.
+/// Furthest that the smoothed camera leaves the source, as a share of the distance of what it looks
+/// at.
 pub(super) const STRAY: f64 = 0.08;
 /// Furthest that it turns away from the source, degrees.
 pub(super) const STRAY_DEG: f64 = 5.0;
 
-/// The smoothed poses of the source, by moment (frames); what the camera looks at is `distance` away, world units.
+/// The smoothed poses of the source, by moment (frames); what the camera looks at is `distance`
+/// away, world units.
 pub fn stabilised(source: &SourcePath, distance: f64) -> PoseSpline {
     let (first, last) = source.span();
     let seconds = source.seconds();
     let steps = (seconds * RATE_HZ).ceil().clamp(1.0, MAX_SAMPLES);
     let count = if seconds > 0.0 { steps as usize + 1 } else { 1 };
-    let times: Vec<f64> = (0..count).map(|i| first + (last - first) * i as f64 / steps).collect();
+    let times: Vec<f64> = (0..count)
+        .map(|i| first + (last - first) * i as f64 / steps)
+        .collect();
     let poses: Vec<Se3<f64>> = times.iter().map(|t| source.at(*t).camera.c2w).collect();
     let turns: Vec<UnitQuaternion<f64>> = poses.iter().map(|p| quaternion(&p.rotation)).collect();
     // Standard deviation in samples.
-    let sigma = if count > 1 { SMOOTH_S / seconds * steps } else { 1.0 };
+    let sigma = if count > 1 {
+        SMOOTH_S / seconds * steps
+    } else {
+        1.0
+    };
     let reach = (WINDOW_SIGMAS * sigma).ceil().min(count as f64) as usize;
     let smoothed = (0..count).map(|i| {
         let window = i.saturating_sub(reach)..(i + reach + 1).min(count);
@@ -130,7 +163,9 @@ pub fn stabilised(source: &SourcePath, distance: f64) -> PoseSpline {
         let way = limited(way, STRAY * distance);
         let turn = limited(turn, STRAY_DEG.to_radians());
         Se3 {
-            rotation: (turns[i] * UnitQuaternion::from_scaled_axis(turn)).to_rotation_matrix().into_inner(),
+            rotation: (turns[i] * UnitQuaternion::from_scaled_axis(turn))
+                .to_rotation_matrix()
+                .into_inner(),
             translation: poses[i].translation + way,
         }
     });

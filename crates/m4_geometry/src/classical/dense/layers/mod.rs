@@ -1,9 +1,10 @@
 //! Depth of a clip without parallax: layers.
 //!
-//! A camera that does not move from its place cannot measure depth, so depth is made up such that what occludes is nearer than
-//! what it occludes. The static background lies on a sphere of radius 1 around the camera, which is one surface for all
-//! frames, however the camera turns. Every dynamic region lies in front of it by [`MARGIN`], in front of the dynamic regions that
-//! it surely occludes by [`STEP`] more, and static occluders lie in front of all of them.
+//! A camera that does not move from its place cannot measure depth, so depth is made up such that
+//! what occludes is nearer than what it occludes. The static background lies on a sphere of radius
+//! 1 around the camera, which is one surface for all frames, however the camera turns. Every
+//! dynamic region lies in front of it by [`MARGIN`], in front of the dynamic regions that it surely
+//! occludes by [`STEP`] more, and static occluders lie in front of all of them.
 //!
 //! ```text
 //! masks, flow -> rigid_objects::tracklet: regions through time
@@ -23,15 +24,16 @@ use occluders::Occluders;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Distance from the background to the farthest dynamic layer, as a share of the latter: more than ten times the extent of a splat in
-/// depth, so that static splats are never sorted in front of dynamic ones, also where training moved them; 2 to 3 pixels when the
-/// camera swings by 3 degrees.
+/// Distance from the background to the farthest dynamic layer, as a share of the latter: more than
+/// ten times the extent of a splat in depth, so that static splats are never sorted in front of
+/// dynamic ones, also where training moved them; 2 to 3 pixels when the camera swings by 3 degrees.
 const MARGIN: f32 = 0.1;
-/// The same between dynamic layers: less, since an order may change in the course of a clip, and a person should not fall apart into
-/// limbs.
+/// The same between dynamic layers: less, since an order may change in the course of a clip, and a
+/// person should not fall apart into limbs.
 const STEP: f32 = 0.03;
 
-/// Disparity of a point on the unit sphere around the camera, `[height][width]`: the length of the ray of z-depth 1.
+/// Disparity of a point on the unit sphere around the camera, `[height][width]`: the length of the
+/// ray of z-depth 1.
 pub(super) fn sphere(camera: &Camera) -> Vec<f32> {
     let k = &camera.intrinsics;
     (0..k.width * k.height)
@@ -43,8 +45,9 @@ pub(super) fn sphere(camera: &Camera) -> Vec<f32> {
         .collect()
 }
 
-/// Disparity of every pixel of every frame, `[height][width]` each. `clip.disparity` is [`sphere`] of each camera, `shots` have the
-/// colours, and a flow whose round trip misses by more than [`ROUND_TRIP_PX`] saw an occlusion.
+/// Disparity of every pixel of every frame, `[height][width]` each. `clip.disparity` is [`sphere`]
+/// of each camera, `shots` have the colours, and a flow whose round trip misses by more than
+/// [`ROUND_TRIP_PX`] saw an occlusion.
 pub(super) fn place(clip: &Clip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
     let (w, h) = (clip.width, clip.height);
     let tracklets = follow(clip);
@@ -55,13 +58,22 @@ pub(super) fn place(clip: &Clip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
     let frame = |i: usize| {
         let layer = dynamic_layers(w, h, &clip.moving[i], &labels[i], &ranks);
         let occludes = occluders.in_frame(&clip.cameras[i], w, h);
-        let layer = |p: usize| if layer[p] == 0 && occludes[p] { front + 1 } else { layer[p] };
-        (0..w * h).map(|p| clip.disparity[i][p] * nearer(layer(p))).collect()
+        let layer = |p: usize| {
+            if layer[p] == 0 && occludes[p] {
+                front + 1
+            } else {
+                layer[p]
+            }
+        };
+        (0..w * h)
+            .map(|p| clip.disparity[i][p] * nearer(layer(p)))
+            .collect()
     };
     (0..clip.moving.len()).into_par_iter().map(frame).collect()
 }
 
-/// Times the background's, the disparity of a layer: 0 for the background, from 1 on in front of it.
+/// Times the background's, the disparity of a layer: 0 for the background, from 1 on in front of
+/// it.
 fn nearer(layer: usize) -> f32 {
     match layer {
         0 => 1.0,
@@ -82,17 +94,31 @@ fn labels(clip: &Clip<'_>, tracklets: &[Tracklet]) -> Vec<Vec<u32>> {
     out
 }
 
-/// The layer of every pixel: 0 for static ones, one plus the rank of its tracklet for dynamic ones. What is in no tracklet goes with
-/// most of what it is connected to, or into the farthest dynamic layer.
-fn dynamic_layers(w: usize, h: usize, moving: &[u8], labels: &[u32], ranks: &[usize]) -> Vec<usize> {
+/// The layer of every pixel: 0 for static ones, one plus the rank of its tracklet for dynamic ones.
+/// What is in no tracklet goes with most of what it is connected to, or into the farthest dynamic
+/// layer.
+fn dynamic_layers(
+    w: usize,
+    h: usize,
+    moving: &[u8],
+    labels: &[u32],
+    ranks: &[usize],
+) -> Vec<usize> {
     let mut out = vec![0usize; w * h];
     for pixels in Components::of(w, h, moving).pixels {
-        let rank = |p: u32| (labels[p as usize] as usize).checked_sub(1).map(|k| ranks[k]);
+        let rank = |p: u32| {
+            (labels[p as usize] as usize)
+                .checked_sub(1)
+                .map(|k| ranks[k])
+        };
         let mut count: BTreeMap<usize, usize> = BTreeMap::new();
         for rank in pixels.iter().filter_map(|&p| rank(p)) {
             *count.entry(rank).or_default() += 1;
         }
-        let most = count.into_iter().max_by_key(|&(rank, n)| (n, rank)).map_or(0, |(rank, _)| rank);
+        let most = count
+            .into_iter()
+            .max_by_key(|&(rank, n)| (n, rank))
+            .map_or(0, |(rank, _)| rank);
         for p in pixels {
             out[p as usize] = 1 + rank(p).unwrap_or(most);
         }
@@ -114,12 +140,13 @@ struct Beside {
     hidden: usize,
 }
 
-/// The rank of every tracklet by which of two regions that touch is in front: the outline between them moves with the front
-/// one, so pixels of the back one are covered and uncovered there (Stein and Hebert 2009). A pixel of the back region, moved
-/// on as its region moves, lands in the front one.
+/// The rank of every tracklet by which of two regions that touch is in front: the outline between
+/// them moves with the front one, so pixels of the back one are covered and uncovered there (Stein
+/// and Hebert 2009). A pixel of the back region, moved on as its region moves, lands in the front
+/// one.
 ///
-/// 0 for the farthest; greater than those of all that it touches and surely occludes. Regions that touch
-/// without a sure order share a rank: they may be parts of one body.
+/// 0 for the farthest; greater than those of all that it touches and surely occludes. Regions that
+/// touch without a sure order share a rank: they may be parts of one body.
 fn ranks(clip: &Clip<'_>, labels: &[Vec<u32>], count: usize) -> Vec<usize> {
     let mut beside: BTreeMap<(usize, usize), Beside> = BTreeMap::new();
     for t in 0..labels.len() {
@@ -134,7 +161,10 @@ fn ranks(clip: &Clip<'_>, labels: &[Vec<u32>], count: usize) -> Vec<usize> {
         }
     }
     // The farthest first: what is least in front of those that are left.
-    let mut lead: Vec<f32> = ordered.iter().map(|with| with.iter().map(|(_, s)| s).sum()).collect();
+    let mut lead: Vec<f32> = ordered
+        .iter()
+        .map(|with| with.iter().map(|(_, s)| s).sum())
+        .collect();
     let mut rank: Vec<Option<usize>> = vec![None; count];
     for _ in 0..count {
         let left = (0..count).filter(|&a| rank[a].is_none());
@@ -159,7 +189,12 @@ fn in_front(a: Beside, b: Beside) -> f32 {
 }
 
 /// Adds what frame `t` shows together with the frames before and after it.
-fn observe(clip: &Clip<'_>, labels: &[Vec<u32>], t: usize, beside: &mut BTreeMap<(usize, usize), Beside>) {
+fn observe(
+    clip: &Clip<'_>,
+    labels: &[Vec<u32>],
+    t: usize,
+    beside: &mut BTreeMap<(usize, usize), Beside>,
+) {
     let (w, h) = (clip.width, clip.height);
     let reach = ((BAND * w as f32).round() as usize).max(1);
     let label = &labels[t];
@@ -168,8 +203,10 @@ fn observe(clip: &Clip<'_>, labels: &[Vec<u32>], t: usize, beside: &mut BTreeMap
         let (x, y) = (p % w, p / w);
         let first = pairs.len();
         for ny in y.saturating_sub(reach)..(y + reach + 1).min(h) {
-            for &other in &label[ny * w + x.saturating_sub(reach)..ny * w + (x + reach + 1).min(w)] {
-                if other > 0 && other != label[p] && pairs[first..].iter().all(|&(_, l)| l != other) {
+            for &other in &label[ny * w + x.saturating_sub(reach)..ny * w + (x + reach + 1).min(w)]
+            {
+                if other > 0 && other != label[p] && pairs[first..].iter().all(|&(_, l)| l != other)
+                {
                     pairs.push((p, other));
                 }
             }
@@ -179,7 +216,9 @@ fn observe(clip: &Clip<'_>, labels: &[Vec<u32>], t: usize, beside: &mut BTreeMap
         return;
     }
     for later in [true, false] {
-        let Some((flow, trip)) = FlowPair::step(clip.flows, t, later) else { continue };
+        let Some((flow, trip)) = FlowPair::step(clip.flows, t, later) else {
+            continue;
+        };
         let other_labels = &labels[if later { t + 1 } else { t - 1 }];
         let motion = motions(label, flow, trip);
         for &(p, other) in &pairs {
@@ -187,7 +226,9 @@ fn observe(clip: &Clip<'_>, labels: &[Vec<u32>], t: usize, beside: &mut BTreeMap
                 continue;
             };
             if let Some(q) = pixel_at(w, h, (p % w) as f32 + u, (p / w) as f32 + v) {
-                let seen = beside.entry((label[p] as usize - 1, other as usize - 1)).or_default();
+                let seen = beside
+                    .entry((label[p] as usize - 1, other as usize - 1))
+                    .or_default();
                 seen.pixels += 1;
                 seen.hidden += usize::from(other_labels[q] == other);
             }
@@ -204,12 +245,15 @@ fn motions(label: &[u32], flow: &Flow, trip: &[f32]) -> BTreeMap<u32, [f32; 2]> 
         v.push(flow.v[p]);
     }
     let median = |v: &mut Vec<f32>| quantile(v, 0.5).unwrap_or(0.0);
-    all.into_iter().map(|(l, [mut u, mut v])| (l, [median(&mut u), median(&mut v)])).collect()
+    all.into_iter()
+        .map(|(l, [mut u, mut v])| (l, [median(&mut u), median(&mut v)]))
+        .collect()
 }
 
 #[cfg(test)]
 mod tests {
-    //! Two blocks that pass each other behind a pole, before a wall, seen by a static or panning camera.
+    //! Two blocks that pass each other behind a pole, before a wall, seen by a static or panning
+    //! camera.
 
     use super::super::working::ClipData;
     use super::{FlowPair, MARGIN, STEP, Shot, place, sphere};
@@ -259,7 +303,8 @@ mod tests {
         shots: Vec<Shot>,
     }
 
-    /// Flow from frame `t` to `to` with the miss of its round trip: none where the same thing is seen at both ends.
+    /// Flow from frame `t` to `to` with the miss of its round trip: none where the same thing is
+    /// seen at both ends.
     fn flow(t: usize, to: usize) -> (Flow, Vec<f32>) {
         let mut flow = Flow::zero(W, H);
         let mut trip = vec![0.0; W * H];
@@ -276,7 +321,10 @@ mod tests {
     }
 
     fn world() -> World {
-        let camera = Camera { intrinsics: Intrinsics::centred(W, H, 90.0), c2w: Se3::identity() };
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(W, H, 90.0),
+            c2w: Se3::identity(),
+        };
         let things = |t: usize| (0..W * H).map(move |p| thing((p % W) as isize, p / W, t));
         let shot = |t: usize| {
             let image = Plane::from_fn(W, H, |x, y| match thing(x as isize, y, t) {
@@ -291,17 +339,27 @@ mod tests {
         let clip = ClipData {
             size: (W, H),
             cameras: vec![camera; FRAMES],
-            moving: (0..FRAMES).map(|t| things(t).map(dynamic).collect()).collect(),
+            moving: (0..FRAMES)
+                .map(|t| things(t).map(dynamic).collect())
+                .collect(),
             disparity: vec![sphere(&camera); FRAMES],
             flows: (1..FRAMES)
                 .map(|t| {
                     let ((forward, forward_round_trip), (backward, backward_round_trip)) =
                         (flow(t - 1, t), flow(t, t - 1));
-                    FlowPair { forward, backward, forward_round_trip, backward_round_trip }
+                    FlowPair {
+                        forward,
+                        backward,
+                        forward_round_trip,
+                        backward_round_trip,
+                    }
                 })
                 .collect(),
         };
-        World { clip, shots: (0..FRAMES).map(shot).collect() }
+        World {
+            clip,
+            shots: (0..FRAMES).map(shot).collect(),
+        }
     }
 
     #[test]
@@ -311,19 +369,29 @@ mod tests {
         // In units of the background's.
         let ratios = |t: usize, of: Thing| -> Vec<f32> {
             let found = (0..W * H).filter(|&p| thing((p % W) as isize, p / W, t) == of);
-            found.map(|p| out[t][p] / world.clip.disparity[t][p]).collect()
+            found
+                .map(|p| out[t][p] / world.clip.disparity[t][p])
+                .collect()
         };
         let least_and_most = |t: usize, of: Thing| {
-            ratios(t, of).into_iter().fold((f32::MAX, f32::MIN), |(a, b), d| (a.min(d), b.max(d)))
+            ratios(t, of)
+                .into_iter()
+                .fold((f32::MAX, f32::MIN), |(a, b), d| (a.min(d), b.max(d)))
         };
         let (first, step) = (1.0 + MARGIN, 1.0 + STEP);
         for t in 0..FRAMES {
-            let (nearest_wall, dynamic) = (least_and_most(t, Thing::Wall).1, least_and_most(t, Thing::Back));
+            let (nearest_wall, dynamic) = (
+                least_and_most(t, Thing::Wall).1,
+                least_and_most(t, Thing::Back),
+            );
             assert!(nearest_wall < 1.001, "frame {t}: wall at {nearest_wall}");
             assert!(dynamic.0 > 0.999 * first, "frame {t}: {dynamic:?}");
             let pole = least_and_most(t, Thing::Pole);
             let nearest = dynamic.1.max(least_and_most(t, Thing::Front).1);
-            assert!(pole.0 > 0.999 * step * nearest, "frame {t}: {pole:?}, dynamic {nearest}");
+            assert!(
+                pole.0 > 0.999 * step * nearest,
+                "frame {t}: {pole:?}, dynamic {nearest}"
+            );
         }
         // They overlap in frames 9 to 12; at the very outline labels are a few pixels off.
         let median = |t: usize, of: Thing| quantile(&mut ratios(t, of), 0.5).unwrap_or(0.0);
@@ -335,11 +403,20 @@ mod tests {
 
     #[test]
     fn turning_camera_sees_one_background_surface() {
-        let camera = Camera { intrinsics: Intrinsics::centred(W, H, 90.0), c2w: Se3::identity() };
-        let turned = Camera { c2w: camera.c2w.retract(&Vector6::new(0.0, 0.0, 0.0, 0.02, 0.1, 0.0)), ..camera };
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(W, H, 90.0),
+            c2w: Se3::identity(),
+        };
+        let turned = Camera {
+            c2w: camera
+                .c2w
+                .retract(&Vector6::new(0.0, 0.0, 0.0, 0.02, 0.1, 0.0)),
+            ..camera
+        };
         for camera in [camera, turned] {
             for (p, disparity) in sphere(&camera).into_iter().enumerate() {
-                let point = camera.unproject((p % W) as f64, (p / W) as f64, 1.0 / f64::from(disparity));
+                let point =
+                    camera.unproject((p % W) as f64, (p / W) as f64, 1.0 / f64::from(disparity));
                 assert!((point.norm() - 1.0).abs() < 1e-6);
             }
         }

@@ -1,5 +1,6 @@
-//! Static pixels that occlude dynamic regions: where a mask ends at the same place for many frames while what is inside it moves
-//! across that edge, it is cut off by something static in front of it.
+//! Static pixels that occlude dynamic regions: where a mask ends at the same place for many frames
+//! while what is inside it moves across that edge, it is cut off by something static in front of
+//! it.
 
 use super::super::rigid_objects::ROUND_TRIP_PX;
 use super::super::shot::{Pair, Shot};
@@ -13,7 +14,8 @@ const SAMPLES: usize = 25;
 const LEAST_STEP_PX: f32 = 0.5;
 /// Most motion that one frame may contribute, pixels: one frame with a wrong flow is no evidence.
 const MOST_STEP_PX: f32 = 2.0;
-/// Motion across an edge, all frames together, from which on it cuts off a dynamic region, in image widths.
+/// Motion across an edge, all frames together, from which on it cuts off a dynamic region, in image
+/// widths.
 const LEAST_TRAVEL: f32 = 0.02;
 /// How deep inside a mask the flow is read: at its very edge it is a mixture.
 const DEPTH_PX: isize = 3;
@@ -57,9 +59,14 @@ impl Occluders {
             }
         }
         let least = LEAST_TRAVEL * w as f32;
-        let seeds: Vec<usize> = (0..cw * ch).filter(|&q| travel[q] >= least && !covered[q]).collect();
+        let seeds: Vec<usize> = (0..cw * ch)
+            .filter(|&q| travel[q] >= least && !covered[q])
+            .collect();
         if seeds.is_empty() {
-            return Self { camera, occludes: Vec::new() };
+            return Self {
+                camera,
+                occludes: Vec::new(),
+            };
         }
         let (mut value, mut weight) = (vec![-1.0f32; cw * ch], vec![PRIOR; cw * ch]);
         for q in (0..cw * ch).filter(|&q| covered[q]) {
@@ -70,7 +77,11 @@ impl Occluders {
         }
         let smoother = Smoother::new(cw, ch, &colours(clip, shots, &camera), SIGMA);
         let (score, _) = smoother.fill(&value, &weight, LAMBDA);
-        let occludes = score.iter().zip(&covered).map(|(s, covered)| *s > 0.0 && !covered).collect();
+        let occludes = score
+            .iter()
+            .zip(&covered)
+            .map(|(s, covered)| *s > 0.0 && !covered)
+            .collect();
         Self { camera, occludes }
     }
 
@@ -81,7 +92,9 @@ impl Occluders {
         }
         let there = Pair::new(camera, &self.camera);
         let k = &self.camera.intrinsics;
-        (0..w * h).map(|p| on_sphere(&there, p, w, (k.width, k.height)).is_some_and(|q| self.occludes[q])).collect()
+        (0..w * h)
+            .map(|p| on_sphere(&there, p, w, (k.width, k.height)).is_some_and(|q| self.occludes[q]))
+            .collect()
     }
 }
 
@@ -100,14 +113,15 @@ fn canvas(camera: &Camera) -> Camera {
     }
 }
 
-/// Where another camera sees pixel `p` of rows of `w`, at about distance 1: an index into its `width` x `height` pixels, if it does.
+/// Where another camera sees pixel `p` of rows of `w`, at about distance 1: an index into its
+/// `width` x `height` pixels, if it does.
 fn on_sphere(there: &Pair, p: usize, w: usize, (width, height): (usize, usize)) -> Option<usize> {
     let seen = there.project((p % w) as f32, (p / w) as f32, 1.0);
     pixel_at(width, height, seen.x, seen.y).filter(|_| seen.disparity > 0.0)
 }
 
-/// Static pixels of frame `i` beside a dynamic one that stay so until the next frame, and how far what is inside the mask moves
-/// across the edge meanwhile, pixels.
+/// Static pixels of frame `i` beside a dynamic one that stay so until the next frame, and how far
+/// what is inside the mask moves across the edge meanwhile, pixels.
 fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
     let (w, h) = (clip.width, clip.height);
     let (now, next) = (&clip.moving[i], &clip.moving[i + 1]);
@@ -123,9 +137,13 @@ fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
             }
             let mut most = 0.0f32;
             for (dx, dy) in [(1isize, 0isize), (-1, 0), (0, 1), (0, -1)] {
-                let beside = |n: isize| y.wrapping_add_signed(n * dy) * w + x.wrapping_add_signed(n * dx);
+                let beside =
+                    |n: isize| y.wrapping_add_signed(n * dy) * w + x.wrapping_add_signed(n * dx);
                 let (edge, inside) = (beside(1), beside(DEPTH_PX));
-                if now[edge] == 0 || now[inside] == 0 || flow.forward_round_trip[inside] > ROUND_TRIP_PX {
+                if now[edge] == 0
+                    || now[inside] == 0
+                    || flow.forward_round_trip[inside] > ROUND_TRIP_PX
+                {
                     continue;
                 }
                 let later = |q: usize| on_sphere(&camera, q, w, (w, h)).map(|q| next[q] > 0);
@@ -134,7 +152,10 @@ fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
                 }
                 let (ix, iy) = ((inside % w) as f32, (inside / w) as f32);
                 let still = camera.project(ix, iy, 1.0);
-                let (u, v) = (flow.forward.u[inside] - (still.x - ix), flow.forward.v[inside] - (still.y - iy));
+                let (u, v) = (
+                    flow.forward.u[inside] - (still.x - ix),
+                    flow.forward.v[inside] - (still.y - iy),
+                );
                 most = most.max((u * dx as f32 + v * dy as f32).abs());
             }
             if most >= LEAST_STEP_PX {
@@ -150,8 +171,10 @@ fn colours(clip: &Clip<'_>, shots: &[Shot], canvas: &Camera) -> Vec<[u8; 3]> {
     let (w, h) = (clip.width, clip.height);
     let k = &canvas.intrinsics;
     let count = SAMPLES.min(shots.len());
-    let chosen: Vec<(&Shot, Pair)> =
-        (0..count).map(|s| s * shots.len() / count).map(|i| (&shots[i], Pair::new(canvas, &clip.cameras[i]))).collect();
+    let chosen: Vec<(&Shot, Pair)> = (0..count)
+        .map(|s| s * shots.len() / count)
+        .map(|i| (&shots[i], Pair::new(canvas, &clip.cameras[i])))
+        .collect();
     let mut seen: Vec<[u8; 3]> = Vec::with_capacity(count);
     (0..k.width * k.height)
         .map(|q| {

@@ -1,5 +1,6 @@
-//! Depth without parallax. What a sensor measured is used as it is. What a network knows from one image, up to a factor, or more, per
-//! frame, is aligned to what stereo over time measured, and stands where nothing was measured, and where something moves.
+//! Depth without parallax. What a sensor measured is used as it is. What a network knows from one
+//! image, up to a factor, or more, per frame, is aligned to what stereo over time measured, and
+//! stands where nothing was measured, and where something moves.
 
 #[cfg(test)]
 mod tests;
@@ -25,12 +26,14 @@ pub enum MonoKind {
 pub struct MonoDepth<'a> {
     /// What the values are.
     pub kind: MonoKind,
-    /// One map per frame, `[height][width]`, of any size of the same shape: it is read at the nearest pixel.
+    /// One map per frame, `[height][width]`, of any size of the same shape: it is read at the
+    /// nearest pixel.
     pub maps: &'a [Plane<f32>],
 }
 
 impl MonoDepth<'_> {
-    /// `[height][width]` of frame `i`: one over depth where the kind is depth, else as given; NaN where unknown.
+    /// `[height][width]` of frame `i`: one over depth where the kind is depth, else as given; NaN
+    /// where unknown.
     pub(super) fn at_size(&self, i: usize, (width, height): (usize, usize)) -> Vec<f32> {
         let at = nearest(self.maps[i].size(), width, height);
         let value = |p: usize| {
@@ -46,7 +49,8 @@ impl MonoDepth<'_> {
     }
 }
 
-/// Weight of an aligned disparity relative to one on which all partners agree, where nothing was measured.
+/// Weight of an aligned disparity relative to one on which all partners agree, where nothing was
+/// measured.
 const PRIOR_WEIGHT: f32 = 0.3;
 /// Confidence from which on a measured disparity takes part in an alignment.
 const SURE: f32 = 0.5;
@@ -62,18 +66,31 @@ pub(super) struct Mono {
 impl Mono {
     /// The disparity of a frame that is known without alignment, by pixel.
     fn metric(&self, i: usize) -> impl Iterator<Item = (usize, f32)> {
-        let known = self.frames.get(i).filter(|_| matches!(self.kind, MonoKind::Metric(_)));
-        known.into_iter().flatten().copied().enumerate().filter(|(_, d)| d.is_finite())
+        let known = self
+            .frames
+            .get(i)
+            .filter(|_| matches!(self.kind, MonoKind::Metric(_)));
+        known
+            .into_iter()
+            .flatten()
+            .copied()
+            .enumerate()
+            .filter(|(_, d)| d.is_finite())
     }
 
     /// The disparity of a frame that is known but for an alignment; NaN where unknown.
     fn relative(&self, i: usize) -> Option<&Vec<f32>> {
-        self.frames.get(i).filter(|_| !matches!(self.kind, MonoKind::Metric(_)))
+        self.frames
+            .get(i)
+            .filter(|_| !matches!(self.kind, MonoKind::Metric(_)))
     }
 
     /// Takes metric depth for measured, but where something moves (above 0).
     pub fn impose(&self, i: usize, measured: &mut Measured, moving: Option<&[u8]>) {
-        for (p, d) in self.metric(i).filter(|(p, _)| moving.is_none_or(|m| m[*p] == 0)) {
+        for (p, d) in self
+            .metric(i)
+            .filter(|(p, _)| moving.is_none_or(|m| m[*p] == 0))
+        {
             (measured.disparity[p], measured.confidence[p]) = (d, 1.0);
         }
     }
@@ -85,24 +102,44 @@ impl Mono {
         }
     }
 
-    /// Disparity of a frame, brought to `disparity` where that is sure and nothing moves; NaN where unknown. `None` where nothing is known
-    /// or too little is sure.
-    pub fn aligned(&self, i: usize, disparity: &[f32], confidence: &[f32], moving: Option<&[u8]>) -> Option<Vec<f32>> {
+    /// Disparity of a frame, brought to `disparity` where that is sure and nothing moves; NaN where
+    /// unknown. `None` where nothing is known or too little is sure.
+    pub fn aligned(
+        &self,
+        i: usize,
+        disparity: &[f32],
+        confidence: &[f32],
+        moving: Option<&[u8]>,
+    ) -> Option<Vec<f32>> {
         let known = self.relative(i)?;
         let sure = |p: &usize| {
-            confidence[*p] >= SURE && moving.is_none_or(|m| m[*p] == 0) && known[*p].is_finite() && disparity[*p] > 0.0
+            confidence[*p] >= SURE
+                && moving.is_none_or(|m| m[*p] == 0)
+                && known[*p].is_finite()
+                && disparity[*p] > 0.0
         };
         let pair = |p: usize| (f64::from(known[p]), f64::from(disparity[p]));
         let pairs: Vec<(f64, f64)> = (0..known.len()).filter(sure).map(pair).collect();
         let fit = Fit::of(&pairs, self.kind == MonoKind::AffineDisparity)?;
-        Some(known.iter().map(|&v| fit.disparity(v).unwrap_or(f32::NAN)).collect())
+        Some(
+            known
+                .iter()
+                .map(|&v| fit.disparity(v).unwrap_or(f32::NAN))
+                .collect(),
+        )
     }
 
     /// Fills unmeasured static pixels with the aligned prior, at low weight.
     pub fn with_prior(&self, i: usize, measured: &Measured, moving: Option<&[u8]>) -> Measured {
         let mut out = measured.clone();
-        let aligned = self.aligned(i, &measured.disparity, &measured.confidence, moving).unwrap_or_default();
-        for (p, d) in aligned.into_iter().enumerate().filter(|(_, d)| d.is_finite()) {
+        let aligned = self
+            .aligned(i, &measured.disparity, &measured.confidence, moving)
+            .unwrap_or_default();
+        for (p, d) in aligned
+            .into_iter()
+            .enumerate()
+            .filter(|(_, d)| d.is_finite())
+        {
             if out.confidence[p] == 0.0 && moving.is_none_or(|m| m[p] == 0) {
                 (out.disparity[p], out.confidence[p]) = (d, PRIOR_WEIGHT);
             }
@@ -119,8 +156,14 @@ impl Mono {
         moving: &[u8],
         disparity: &mut [f32],
     ) {
-        let aligned = self.aligned(i, background, &measured.confidence, Some(moving)).unwrap_or_default();
-        for (p, d) in aligned.into_iter().enumerate().filter(|(_, d)| d.is_finite()) {
+        let aligned = self
+            .aligned(i, background, &measured.confidence, Some(moving))
+            .unwrap_or_default();
+        for (p, d) in aligned
+            .into_iter()
+            .enumerate()
+            .filter(|(_, d)| d.is_finite())
+        {
             if moving[p] > 0 {
                 disparity[p] = d.max(background[p]);
             }
@@ -132,13 +175,23 @@ impl Mono {
         self.frames.is_empty()
     }
 
-    /// The disparity of a frame of a clip in which nothing can be measured: `made_up`, or as a middle distance of 1 has it.
+    /// The disparity of a frame of a clip in which nothing can be measured: `made_up`, or as a
+    /// middle distance of 1 has it.
     pub fn without_parallax(&self, i: usize, made_up: Vec<f32>) -> Vec<f32> {
         let mut out = made_up;
-        let Some(known) = self.relative(i) else { return out };
-        let mut all: Vec<f64> = known.iter().filter(|v| v.is_finite()).map(|&v| f64::from(v)).collect();
+        let Some(known) = self.relative(i) else {
+            return out;
+        };
+        let mut all: Vec<f64> = known
+            .iter()
+            .filter(|v| v.is_finite())
+            .map(|&v| f64::from(v))
+            .collect();
         if let Some(middle) = median(&mut all).filter(|middle| *middle > 0.0) {
-            let fit = Fit { scale: 1.0 / middle, shift: 0.0 };
+            let fit = Fit {
+                scale: 1.0 / middle,
+                shift: 0.0,
+            };
             for (out, v) in out.iter_mut().zip(known) {
                 *out = fit.disparity(*v).unwrap_or(*out);
             }
@@ -163,8 +216,9 @@ struct Fit {
 }
 
 impl Fit {
-    /// By medians and weighted least squares, so that a good third of the pixels may be wrong: pairs of a relative and a measured disparity. `None` for too
-    /// few, for relative disparity without any relief, and where the fit would turn near and far round.
+    /// By medians and weighted least squares, so that a good third of the pixels may be wrong:
+    /// pairs of a relative and a measured disparity. `None` for too few, for relative disparity
+    /// without any relief, and where the fit would turn near and far round.
     fn of(pairs: &[(f64, f64)], with_shift: bool) -> Option<Self> {
         if pairs.len() < NEEDED {
             return None;
@@ -174,7 +228,11 @@ impl Fit {
             let mut rest: Vec<f64> = pairs.iter().map(|(r, m)| m - scale * r).collect();
             (scale, median(&mut rest)?)
         } else {
-            let mut ratios: Vec<f64> = pairs.iter().filter(|p| p.0 > 0.0).map(|(r, m)| m / r).collect();
+            let mut ratios: Vec<f64> = pairs
+                .iter()
+                .filter(|p| p.0 > 0.0)
+                .map(|(r, m)| m / r)
+                .collect();
             (median(&mut ratios)?, 0.0)
         };
         let mut fit = Self { scale, shift };
@@ -184,8 +242,8 @@ impl Fit {
         (fit.scale.is_finite() && fit.shift.is_finite() && fit.scale > 0.0).then_some(fit)
     }
 
-    /// A step of least squares with the weights of Geman and McClure, whose scale follows the residuals: medians alone lean
-    /// towards outliers that lie on one side.
+    /// A step of least squares with the weights of Geman and McClure, whose scale follows the
+    /// residuals: medians alone lean towards outliers that lie on one side.
     fn refined(&self, pairs: &[(f64, f64)], with_shift: bool) -> Option<Self> {
         let residual = |(r, m): &(f64, f64)| self.scale * r + self.shift - m;
         let mut sizes: Vec<f64> = pairs.iter().map(|p| residual(p).abs()).collect();
@@ -217,9 +275,9 @@ impl Fit {
     }
 }
 
-/// Median of the slopes between pairs far apart in the list, weighted by how far apart they are in relative disparity
-/// (Theil 1950, Sen 1968). Slopes from one middle value, as `megasam::prior` has them, mean nothing where half of a
-/// image is one flat wall. `None` without any relief.
+/// Median of the slopes between pairs far apart in the list, weighted by how far apart they are in
+/// relative disparity (Theil 1950, Sen 1968). Slopes from one middle value, as `megasam::prior` has
+/// them, mean nothing where half of a image is one flat wall. `None` without any relief.
 fn slope(pairs: &[(f64, f64)]) -> Option<f64> {
     let n = pairs.len();
     let mut slopes: Vec<(f64, f64)> = Vec::new();

@@ -34,7 +34,10 @@ fn mono(kind: MonoKind) -> Mono {
 
 fn read(kind: MonoKind, maps: &[Plane<f32>]) -> Mono {
     let depth = MonoDepth { kind, maps };
-    Mono { kind, frames: (0..maps.len()).map(|i| depth.at_size(i, (W, H))).collect() }
+    Mono {
+        kind,
+        frames: (0..maps.len()).map(|i| depth.at_size(i, (W, H))).collect(),
+    }
 }
 
 fn moving() -> Vec<u8> {
@@ -51,7 +54,9 @@ fn measured() -> Measured {
     });
     Measured {
         disparity: disparity.collect(),
-        confidence: (0..W * H).map(|p| if seen(p) { 1.0 } else { 0.0 }).collect(),
+        confidence: (0..W * H)
+            .map(|p| if seen(p) { 1.0 } else { 0.0 })
+            .collect(),
     }
 }
 
@@ -60,10 +65,15 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
     for kind in [MonoKind::UpToScale, MonoKind::AffineDisparity] {
         let (mono, measured, moving) = (mono(kind), measured(), moving());
         for i in 0..2 {
-            let aligned = mono.aligned(i, &measured.disparity, &measured.confidence, Some(&moving)).unwrap();
+            let aligned = mono
+                .aligned(i, &measured.disparity, &measured.confidence, Some(&moving))
+                .unwrap();
             for (p, d) in aligned.iter().enumerate() {
                 assert_eq!(d.is_nan(), p % W == 3, "{kind:?} {p}");
-                assert!(d.is_nan() || (d / disparity(p) - 1.0).abs() < 0.02, "{kind:?} {p}: {d}");
+                assert!(
+                    d.is_nan() || (d / disparity(p) - 1.0).abs() < 0.02,
+                    "{kind:?} {p}: {d}"
+                );
             }
             // Below, where nothing was measured, it stands; above, measurements do.
             let with = mono.with_prior(i, &measured, Some(&moving));
@@ -76,13 +86,18 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
             let mut out = background.clone();
             mono.place_moving(
                 i,
-                &Measured { confidence: vec![0.0; W * H], ..measured.clone() },
+                &Measured {
+                    confidence: vec![0.0; W * H],
+                    ..measured.clone()
+                },
                 &background,
                 &moving,
                 &mut out,
             );
             assert_eq!(out, background, "nothing to align to");
-            let background: Vec<f32> = (0..W * H).map(|p| if moves(p) { 0.2 } else { disparity(p) }).collect();
+            let background: Vec<f32> = (0..W * H)
+                .map(|p| if moves(p) { 0.2 } else { disparity(p) })
+                .collect();
             let mut out = background.clone();
             mono.place_moving(i, &measured, &background, &moving, &mut out);
             for (p, d) in out.iter().enumerate() {
@@ -100,12 +115,19 @@ fn metric_depth_is_taken_as_it_is() {
     mono.overrule(1, &mut out);
     for p in 0..W * H {
         let known = p % W != 3;
-        assert_eq!(measured.confidence[p] == 1.0, !moves(p) && (known || p / W < 20), "{p}");
+        assert_eq!(
+            measured.confidence[p] == 1.0,
+            !moves(p) && (known || p / W < 20),
+            "{p}"
+        );
         assert!(!known || moves(p) || (measured.disparity[p] / disparity(p) - 1.0).abs() < 1e-6);
         let want = if known { disparity(p) } else { 0.1 };
         assert!((out[p] / want - 1.0).abs() < 1e-6, "{p}");
     }
-    assert!(mono.aligned(1, &measured.disparity, &measured.confidence, None).is_none());
+    assert!(
+        mono.aligned(1, &measured.disparity, &measured.confidence, None)
+            .is_none()
+    );
 }
 
 #[test]
@@ -125,12 +147,11 @@ fn without_parallax_relief_is_kept_at_distance_one() {
 fn inverted_relief_is_not_used() {
     let measured = measured();
     let aligned = |slope: f32| {
-        read(MonoKind::AffineDisparity, &[Plane::from_fn(W, H, |x, y| slope * disparity(y * W + x))]).aligned(
-            0,
-            &measured.disparity,
-            &measured.confidence,
-            None,
+        read(
+            MonoKind::AffineDisparity,
+            &[Plane::from_fn(W, H, |x, y| slope * disparity(y * W + x))],
         )
+        .aligned(0, &measured.disparity, &measured.confidence, None)
     };
     assert!(aligned(-1.0).is_none());
     assert!(aligned(1.0).is_some());

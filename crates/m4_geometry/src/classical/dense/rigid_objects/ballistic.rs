@@ -1,5 +1,5 @@
-//! Ballistic prior: between two contacts the centre of an object moves along a parabola, with one acceleration for all
-//! objects.
+//! Ballistic prior: between two contacts the centre of an object moves along a parabola, with one
+//! acceleration for all objects.
 //!
 //! ```text
 //! tracklets -> observations: where the middle of a part is seen, and in which frames all of the part is
@@ -9,9 +9,10 @@
 //!           -> depth by frame
 //! ```
 //!
-//! The rays to an object on a parabola `p + u t + g t^2 / 2` say where it is once `g` is known: every frame gives two
-//! linear equations for the six unknowns of `p` and `u`. Down is the normal of the ground; the acceleration, in the unit of
-//! the cameras per frame squared, is one number for the whole clip. Needs neither size nor shape, but a ground and a curved path.
+//! The rays to an object on a parabola `p + u t + g t^2 / 2` say where it is once `g` is known:
+//! every frame gives two linear equations for the six unknowns of `p` and `u`. Down is the normal
+//! of the ground; the acceleration, in the unit of the cameras per frame squared, is one number for
+//! the whole clip. Needs neither size nor shape, but a ground and a curved path.
 
 use super::ground::Ground;
 use super::{Clip, Flight, Tracklet, flight};
@@ -25,7 +26,8 @@ const LEAST_IN_FLIGHT_S: f64 = 2.0 / 3.0;
 const ROUNDS: usize = 3;
 /// The sizes that two flights of one part imply may differ by less than this factor.
 const SIZE_RATIO: f32 = 1.3;
-/// The mean depth of what is seen of an object is nearer than its middle by this share of its radius: two thirds for a ball.
+/// The mean depth of what is seen of an object is nearer than its middle by this share of its
+/// radius: two thirds for a ball.
 const BULGE: f64 = 0.6;
 
 /// An object that may be in flight.
@@ -38,9 +40,11 @@ pub(super) struct RigidObject<'a> {
     pub depth: &'a [f64],
 }
 
-/// The z-depth of objects in flight, by part and frame: of their visible side, not of their middle. `None` where nothing is in flight.
+/// The z-depth of objects in flight, by part and frame: of their visible side, not of their middle.
+/// `None` where nothing is in flight.
 ///
-/// `depth` is the estimated z-depth of each part by frame, of which only the order of magnitude matters.
+/// `depth` is the estimated z-depth of each part by frame, of which only the order of magnitude
+/// matters.
 pub(super) fn depths(
     clip: &Clip<'_>,
     ground: &Ground,
@@ -61,7 +65,9 @@ pub(super) fn depths(
     let mut flights = Vec::new();
     for _ in 0..ROUNDS {
         flights = flight::find(&objects, ground, g);
-        if flights.iter().flatten().map(Flight::frames).sum::<usize>() < clip.rate.frames(LEAST_IN_FLIGHT_S) {
+        if flights.iter().flatten().map(Flight::frames).sum::<usize>()
+            < clip.rate.frames(LEAST_IN_FLIGHT_S)
+        {
             return None;
         }
         g = flight::settled_acceleration(&objects, &flights, ground)?;
@@ -70,7 +76,12 @@ pub(super) fn depths(
         let mut out = vec![None; object.depth.len()];
         if one_size(object, flights, ground, g) {
             for flight in flights {
-                for (k, out) in out.iter_mut().enumerate().take(flight.end).skip(flight.first) {
+                for (k, out) in out
+                    .iter_mut()
+                    .enumerate()
+                    .take(flight.end)
+                    .skip(flight.first)
+                {
                     let z = flight.parabola.depth(&object.cameras[k], k, ground, g);
                     *out = Some(z * (1.0 - BULGE * object.observations[k].radius));
                 }
@@ -78,7 +89,13 @@ pub(super) fn depths(
         }
         out
     };
-    Some(objects.iter().zip(&flights).map(|(object, f)| along(object, f)).collect())
+    Some(
+        objects
+            .iter()
+            .zip(&flights)
+            .map(|(object, f)| along(object, f))
+            .collect(),
+    )
 }
 
 /// Whether a part keeps its size from flight to flight; two things whose images touch may not.
@@ -86,7 +103,11 @@ fn one_size(object: &RigidObject<'_>, flights: &[Flight], ground: &Ground, g: f6
     let size = |flight: &Flight| {
         let mut all: Vec<f32> = (flight.first..flight.end)
             .filter(|&k| object.observations[k].complete)
-            .map(|k| (object.observations[k].radius * flight.parabola.depth(&object.cameras[k], k, ground, g)) as f32)
+            .map(|k| {
+                (object.observations[k].radius
+                    * flight.parabola.depth(&object.cameras[k], k, ground, g))
+                    as f32
+            })
             .collect();
         quantile(&mut all, 0.5)
     };
@@ -104,8 +125,9 @@ const SHARED: f64 = 0.08;
 
 /// What one frame shows of a part.
 pub(super) struct Observation {
-    /// Two directions in the world, across the ray to the middle: their product with the vector from the camera to a
-    /// point of depth 1 is the distance of the point from the middle in the image, pixels at the working size.
+    /// Two directions in the world, across the ray to the middle: their product with the vector
+    /// from the camera to a point of depth 1 is the distance of the point from the middle in the
+    /// image, pixels at the working size.
     pub across: [Vector3<f64>; 2],
     /// Of a disc of the same area, over the focal length.
     pub radius: f64,
@@ -142,9 +164,14 @@ fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
         .collect()
 }
 
-/// Pixel coordinates of the middle of a part, and whether it touches neither the border of the image nor, for long, another
-/// part; `own` is room to work in, all false before and after.
-fn outline(clip: &Clip<'_>, tracklet: &Tracklet, k: usize, own: &mut [bool]) -> (Vector2<f64>, bool) {
+/// Pixel coordinates of the middle of a part, and whether it touches neither the border of the
+/// image nor, for long, another part; `own` is room to work in, all false before and after.
+fn outline(
+    clip: &Clip<'_>,
+    tracklet: &Tracklet,
+    k: usize,
+    own: &mut [bool],
+) -> (Vector2<f64>, bool) {
     let (w, h) = (clip.width, clip.height);
     let (pixels, moving) = (&tracklet.parts[k], &clip.moving[tracklet.first + k]);
     for &p in pixels {
@@ -167,7 +194,10 @@ fn outline(clip: &Clip<'_>, tracklet: &Tracklet, k: usize, own: &mut [bool]) -> 
     for &p in pixels {
         own[p as usize] = false;
     }
-    (sum / pixels.len().max(1) as f64, !border && (shared as f64) < SHARED * edge as f64)
+    (
+        sum / pixels.len().max(1) as f64,
+        !border && (shared as f64) < SHARED * edge as f64,
+    )
 }
 
 /// Fewest frames in which the whole object is seen.
@@ -182,7 +212,8 @@ const RANGE: f64 = 20.0;
 pub(super) struct Parabola {
     /// The frame, counted from the object's first, that position and velocity belong to.
     middle: f64,
-    /// Position and velocity per frame without acceleration, and what an acceleration of 1 adds to them.
+    /// Position and velocity per frame without acceleration, and what an acceleration of 1 adds to
+    /// them.
     without_acceleration: Vector6<f64>,
     per_acceleration: Vector6<f64>,
     /// Root mean square distance of the middles from it, pixels at the working size.
@@ -197,8 +228,14 @@ pub(super) struct Parabola {
 }
 
 impl Parabola {
-    /// Fits the parabola of frames `first..end` at the acceleration `g`; `None` if too little is seen.
-    pub fn fit(object: &RigidObject<'_>, (first, end): (usize, usize), ground: &Ground, g: f64) -> Option<Self> {
+    /// Fits the parabola of frames `first..end` at the acceleration `g`; `None` if too little is
+    /// seen.
+    pub fn fit(
+        object: &RigidObject<'_>,
+        (first, end): (usize, usize),
+        ground: &Ground,
+        g: f64,
+    ) -> Option<Self> {
         let middle = (first + end - 1) as f64 / 2.0;
         let usual = object.depth[first..end].iter().sum::<f64>() / (end - first) as f64;
         let mut z = vec![usual; end - first];
@@ -227,7 +264,11 @@ impl Parabola {
         let (mut a, mut without_acceleration, mut per_acceleration) =
             (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
         let mut rows = Vec::new();
-        for (i, z) in z.iter().enumerate().filter(|(i, _)| object.observations[first + i].complete) {
+        for (i, z) in z
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| object.observations[first + i].complete)
+        {
             let k = first + i;
             let t = k as f64 - middle;
             let c = object.cameras[k].centre();
@@ -247,11 +288,16 @@ impl Parabola {
             return None;
         }
         let solver = a.cholesky()?;
-        let (without_acceleration, per_acceleration) =
-            (solver.solve(&without_acceleration), solver.solve(&per_acceleration));
+        let (without_acceleration, per_acceleration) = (
+            solver.solve(&without_acceleration),
+            solver.solve(&per_acceleration),
+        );
         let (mut off, mut cross, mut information) = (0.0, 0.0, 0.0);
         for (row, b, d) in &rows {
-            let (rc, rg) = (row.dot(&without_acceleration) - b, row.dot(&per_acceleration) - d);
+            let (rc, rg) = (
+                row.dot(&without_acceleration) - b,
+                row.dot(&per_acceleration) - d,
+            );
             off += (rc + g * rg).powi(2);
             cross += rc * rg;
             information += rg * rg;

@@ -1,5 +1,5 @@
-//! The flights of a part (intervals of frames on one parabola), and the acceleration: one number for a clip, in the unit of its
-//! cameras per frame squared.
+//! The flights of a part (intervals of frames on one parabola), and the acceleration: one number
+//! for a clip, in the unit of its cameras per frame squared.
 
 use super::ballistic::{Parabola, RigidObject};
 use super::ground::Ground;
@@ -10,10 +10,12 @@ use rayon::prelude::*;
 const SHORTEST_S: f64 = 1.0 / 3.0;
 /// Longest, seconds: a longer one is cut, which costs little.
 const LONGEST_S: f64 = 2.0;
-/// Noise of the middle of a part, pixels at the working size, and the share of its radius that is added to it.
+/// Noise of the middle of a part, pixels at the working size, and the share of its radius that is
+/// added to it.
 const NOISE_PX: f64 = 0.15;
 const NOISE_SHARE: f64 = 0.010;
-/// Cost of a frame that is on no parabola, in variances of the noise; the same where the part is partly hidden.
+/// Cost of a frame that is on no parabola, in variances of the noise; the same where the part is
+/// partly hidden.
 const OFF_PARABOLA_COST: f64 = 2.5;
 const INCOMPLETE_COST: f64 = 0.5;
 /// Cost of a parabola.
@@ -38,23 +40,35 @@ impl Flight {
 
 /// The flights of every object at the acceleration `g`.
 pub(super) fn find(objects: &[RigidObject<'_>], ground: &Ground, g: f64) -> Vec<Vec<Flight>> {
-    objects.par_iter().map(|object| of_one(object, ground, g)).collect()
+    objects
+        .par_iter()
+        .map(|object| of_one(object, ground, g))
+        .collect()
 }
 
-/// Cuts the frames of an object so that what lies off parabolas, what is on none, and the number of parabolas cost least.
+/// Cuts the frames of an object so that what lies off parabolas, what is on none, and the number of
+/// parabolas cost least.
 fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
     let n = object.depth.len();
     let [shortest, longest] = [SHORTEST_S, LONGEST_S].map(|s| object.rate.frames(s));
     let noise = |first: usize, end: usize| {
-        let radius = object.observations[first..end].iter().map(|s| s.radius_px).sum::<f64>() / (end - first) as f64;
+        let radius = object.observations[first..end]
+            .iter()
+            .map(|s| s.radius_px)
+            .sum::<f64>()
+            / (end - first) as f64;
         NOISE_PX + NOISE_SHARE * radius
     };
     // By frame: the least cost of all frames before it, and the flight that ends there.
     let mut cost = vec![0.0f64; n + 1];
     let mut last: Vec<Option<(usize, Parabola)>> = vec![None; n + 1];
     for end in 1..=n {
-        cost[end] =
-            cost[end - 1] + if object.observations[end - 1].complete { OFF_PARABOLA_COST } else { INCOMPLETE_COST };
+        cost[end] = cost[end - 1]
+            + if object.observations[end - 1].complete {
+                OFF_PARABOLA_COST
+            } else {
+                INCOMPLETE_COST
+            };
         for first in end.saturating_sub(longest)..(end + 1).saturating_sub(shortest) {
             let Some(parabola) = Parabola::fit(object, (first, end), ground, g) else {
                 continue;
@@ -78,13 +92,18 @@ fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
             end -= 1;
             continue;
         };
-        out.push(Flight { first, end, parabola });
+        out.push(Flight {
+            first,
+            end,
+            parabola,
+        });
         end = first;
     }
     out
 }
 
-/// Length of a first estimate, and time in which estimates must start, of all objects together, seconds.
+/// Length of a first estimate, and time in which estimates must start, of all objects together,
+/// seconds.
 const WINDOW_S: f64 = 5.0 / 12.0;
 const ESTIMATES_S: f64 = 1.0 / 3.0;
 /// Largest residual of a first estimate, pixels at the working size.
@@ -93,12 +112,13 @@ const MOST_RESIDUAL_PX: f64 = 0.9;
 const LEAST_BEND_PX: f64 = 5.0;
 /// Steps to the acceleration that belongs to a depth.
 const STEPS: usize = 3;
-/// Noise assumed for the best fit, pixels, and the largest standard deviation of its acceleration, as a share of it.
+/// Noise assumed for the best fit, pixels, and the largest standard deviation of its acceleration,
+/// as a share of it.
 const FIT_NOISE_PX: f64 = 0.35;
 const CERTAIN: f64 = 0.06;
 
-/// The acceleration for which parabolas over a few frames have the estimated depths of the parts: the most common one. `None` if
-/// hardly any part moves along a curved path.
+/// The acceleration for which parabolas over a few frames have the estimated depths of the parts:
+/// the most common one. `None` if hardly any part moves along a curved path.
 pub(super) fn first_acceleration(objects: &[RigidObject<'_>], ground: &Ground) -> Option<f64> {
     let mut all: Vec<f64> = objects
         .iter()
@@ -141,11 +161,13 @@ fn estimate(object: &RigidObject<'_>, first: usize, ground: &Ground) -> Option<f
 
 /// One acceleration for all flights.
 ///
-/// From a camera that moves evenly, a path fits any acceleration: a larger and farther object falls faster. So there are two estimates.
-/// Where the camera did not move evenly, one acceleration fits best; it is a little too low, since noise draws everything towards the
-/// camera. And nothing falls through the ground: the acceleration that nearly all flights allow is that of flights that end on it; it is
-/// a little too high, since they end between two frames. The result is their geometric mean, the second where the first is uncertain, or
-/// the first where no flight comes near the ground.
+/// From a camera that moves evenly, a path fits any acceleration: a larger and farther object falls
+/// faster. So there are two estimates. Where the camera did not move evenly, one acceleration fits
+/// best; it is a little too low, since noise draws everything towards the camera. And nothing falls
+/// through the ground: the acceleration that nearly all flights allow is that of flights that end
+/// on it; it is a little too high, since they end between two frames. The result is their geometric
+/// mean, the second where the first is uncertain, or the first where no flight comes near the
+/// ground.
 pub(super) fn settled_acceleration(
     objects: &[RigidObject<'_>],
     flights: &[Vec<Flight>],
@@ -176,7 +198,8 @@ pub(super) fn settled_acceleration(
 fn allowed(object: &RigidObject<'_>, flight: &Flight, ground: &Ground) -> f64 {
     let mut most = f64::INFINITY;
     for k in (flight.first..flight.end).filter(|&k| object.observations[k].complete) {
-        // How far the object is above the ground, less its own radius: affine in the acceleration, as its depth is.
+        // How far the object is above the ground, less its own radius: affine in the acceleration,
+        // as its depth is.
         let parabola = &flight.parabola;
         let above = |g: f64| {
             ground.height(&parabola.at(k, ground, g))

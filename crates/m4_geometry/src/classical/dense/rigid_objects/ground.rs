@@ -34,9 +34,18 @@ impl Ground {
 /// The ground, if there is one below the cameras.
 pub(super) fn find(clip: &Clip<'_>) -> Option<Ground> {
     let samples = samples(clip);
-    let axis: Vector3<f64> = clip.cameras.iter().map(|c| c.c2w.rotation * Vector3::y()).sum();
+    let axis: Vector3<f64> = clip
+        .cameras
+        .iter()
+        .map(|c| c.c2w.rotation * Vector3::y())
+        .sum();
     let axis = axis.try_normalize(1e-9)?;
-    let on = |g: Ground| samples.iter().filter(move |(p, z)| g.height(p).abs() < MISS * z).map(|(p, _)| p);
+    let on = |g: Ground| {
+        samples
+            .iter()
+            .filter(move |(p, z)| g.height(p).abs() < MISS * z)
+            .map(|(p, _)| p)
+    };
     let mut rng = CounterRng::new(4, 1, 7);
     let mut best: Option<(usize, Ground)> = None;
     if samples.len() < 100 {
@@ -44,7 +53,11 @@ pub(super) fn find(clip: &Clip<'_>) -> Option<Ground> {
     }
     for _ in 0..TRIES {
         let [a, b, c] = [0; 3].map(|_| samples[rng.below(samples.len())].0);
-        let Some(ground) = (b - a).cross(&(c - a)).try_normalize(1e-12).and_then(|n| oriented(n, &a, &axis)) else {
+        let Some(ground) = (b - a)
+            .cross(&(c - a))
+            .try_normalize(1e-12)
+            .and_then(|n| oriented(n, &a, &axis))
+        else {
             continue;
         };
         let count = on(ground).count();
@@ -56,19 +69,32 @@ pub(super) fn find(clip: &Clip<'_>) -> Option<Ground> {
     for _ in 0..3 {
         let near: Vec<_> = on(ground).copied().collect();
         let mean = near.iter().sum::<Vector3<f64>>() / near.len().max(1) as f64;
-        let spread: Matrix3<f64> = near.iter().map(|p| (p - mean) * (p - mean).transpose()).sum();
+        let spread: Matrix3<f64> = near
+            .iter()
+            .map(|p| (p - mean) * (p - mean).transpose())
+            .sum();
         let eigen = spread.symmetric_eigen();
         let least = eigen.eigenvalues.imin();
         ground = oriented(eigen.eigenvectors.column(least).into_owned(), &mean, &axis)?;
     }
     let share = on(ground).count() as f64 / samples.len() as f64;
-    let above = clip.cameras.iter().all(|c| ground.height(&c.c2w.translation) > 0.0);
+    let above = clip
+        .cameras
+        .iter()
+        .all(|c| ground.height(&c.c2w.translation) > 0.0);
     (share > LEAST && above).then_some(ground)
 }
 
 fn oriented(normal: Vector3<f64>, through: &Vector3<f64>, axis: &Vector3<f64>) -> Option<Ground> {
-    let down = if normal.dot(axis) < 0.0 { -normal } else { normal };
-    (down.dot(axis) > UPRIGHT).then(|| Ground { down, offset: down.dot(through) })
+    let down = if normal.dot(axis) < 0.0 {
+        -normal
+    } else {
+        normal
+    };
+    (down.dot(axis) > UPRIGHT).then(|| Ground {
+        down,
+        offset: down.dot(through),
+    })
 }
 
 /// Static points and their z-depths.

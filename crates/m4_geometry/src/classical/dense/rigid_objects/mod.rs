@@ -1,6 +1,6 @@
-//! Depth of dynamic regions, part by part: each moving part is taken for a rigid body, whose motion relative to
-//! the camera reveals its shape and how its distance changes, but not its size; its size follows from what it
-//! hides, where it touches the ground, and how it moves.
+//! Depth of dynamic regions, part by part: each moving part is taken for a rigid body, whose motion
+//! relative to the camera reveals its shape and how its distance changes, but not its size; its
+//! size follows from what it hides, where it touches the ground, and how it moves.
 //!
 //! ```text
 //! masks, flow -> tracklet: one part through time; objects that touch in the image are separated by other frames
@@ -31,13 +31,15 @@ pub(super) use tracklet::{Tracklet, follow};
 const BLOCK_PX: usize = 4;
 /// Regions smaller than this share of the image are not shaped.
 const LEAST_SHARE: f32 = 0.002;
-/// Shortest time that a region is followed, seconds, and fewest frames, which its adjustment needs at any rate.
+/// Shortest time that a region is followed, seconds, and fewest frames, which its adjustment needs
+/// at any rate.
 const SHORTEST_S: f64 = 0.2;
 const FEWEST: usize = 5;
 /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
 pub(super) const ROUND_TRIP_PX: f32 = 1.5;
-/// A part may seem to lie behind what it hides by up to this factor of depth. Background that is nearer still is not behind it but was
-/// filled in from a static occluder, and a scale that puts the part farther still is wrong.
+/// A part may seem to lie behind what it hides by up to this factor of depth. Background that is
+/// nearer still is not behind it but was filled in from a static occluder, and a scale that puts
+/// the part farther still is wrong.
 const OCCLUSION_RANGE: f32 = 1.2;
 /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
 const FILL_LAMBDA: f32 = 100.0;
@@ -50,8 +52,9 @@ fn shortest(clip: &Clip<'_>) -> usize {
 /// A part that was adjusted, and what its frames say about its scale.
 type Body<'a> = (&'a Tracklet, rigid::Shape, scale::Reading);
 
-/// Replaces the disparity of moving parts, `[height][width]` by frame, where a part could be followed long
-/// enough to be understood as a rigid object; what flies takes its distance from how it falls, where there is a ground.
+/// Replaces the disparity of moving parts, `[height][width]` by frame, where a part could be
+/// followed long enough to be understood as a rigid object; what flies takes its distance from how
+/// it falls, where there is a ground.
 pub(super) fn place<'s>(
     clip: &Clip<'_>,
     smoother: impl Fn(usize) -> Smoother + Sync + 's,
@@ -67,8 +70,17 @@ pub(super) fn place<'s>(
         Some((t, shape, reading))
     })?;
     let bodies: Vec<Body<'_>> = bodies.into_iter().flatten().collect();
-    let scales = scale::settle(&bodies.iter().map(|(_, _, reading)| reading).collect::<Vec<_>>());
-    let mut scales: Vec<Vec<f32>> = bodies.iter().zip(&scales).map(|((t, _, _), s)| vec![*s; t.parts.len()]).collect();
+    let scales = scale::settle(
+        &bodies
+            .iter()
+            .map(|(_, _, reading)| reading)
+            .collect::<Vec<_>>(),
+    );
+    let mut scales: Vec<Vec<f32>> = bodies
+        .iter()
+        .zip(&scales)
+        .map(|((t, _, _), s)| vec![*s; t.parts.len()])
+        .collect();
     if let Some(ground) = ground::find(clip) {
         fall(clip, &ground, &bodies, &mut scales);
     }
@@ -79,11 +91,14 @@ pub(super) fn place<'s>(
             values[tracklet.first + k].extend(shape.known(clip, k).map(|(p, d)| (p, d * scale)));
         }
     }
-    disparity.par_iter_mut().enumerate().for_each(|(i, disparity)| {
-        if !values[i].is_empty() {
-            spread(clip, i, &smoother(i), &bodies, &values[i], disparity);
-        }
-    });
+    disparity
+        .par_iter_mut()
+        .enumerate()
+        .for_each(|(i, disparity)| {
+            if !values[i].is_empty() {
+                spread(clip, i, &smoother(i), &bodies, &values[i], disparity);
+            }
+        });
     Ok(())
 }
 
@@ -97,7 +112,11 @@ fn fall(clip: &Clip<'_>, ground: &ground::Ground, bodies: &[Body<'_>], scales: &
         .iter()
         .zip(&*scales)
         .map(|((_, shape, _), scale)| {
-            scale.iter().enumerate().map(|(k, s)| 1.0 / f64::from(typical(shape, k).unwrap_or(1.0) * s)).collect()
+            scale
+                .iter()
+                .enumerate()
+                .map(|(k, s)| 1.0 / f64::from(typical(shape, k).unwrap_or(1.0) * s))
+                .collect()
         })
         .collect();
     let tracklets: Vec<&Tracklet> = bodies.iter().map(|(t, _, _)| *t).collect();
@@ -137,15 +156,21 @@ fn spread(
     }
     let (filled, reach) = smoother.fill(&value, &weight, FILL_LAMBDA);
     for (tracklet, _, _) in bodies {
-        let Some(pixels) = i.checked_sub(tracklet.first).and_then(|k| tracklet.parts.get(k)) else {
+        let Some(pixels) = i
+            .checked_sub(tracklet.first)
+            .and_then(|k| tracklet.parts.get(k))
+        else {
             continue;
         };
         for &p in pixels {
             let p = p as usize;
             if reach[p] > 1e-4 {
                 let background = clip.disparity[i][p];
-                disparity[p] =
-                    if background < OCCLUSION_RANGE * filled[p] { filled[p].max(background) } else { filled[p] };
+                disparity[p] = if background < OCCLUSION_RANGE * filled[p] {
+                    filled[p].max(background)
+                } else {
+                    filled[p]
+                };
             }
         }
     }
@@ -183,7 +208,8 @@ mod tests {
         }
     }
 
-    /// A disc that faces the camera, or a ball: where its middle is and how far it is turned, by frame.
+    /// A disc that faces the camera, or a ball: where its middle is and how far it is turned, by
+    /// frame.
     struct Disc {
         ball: bool,
         radius: f64,
@@ -196,13 +222,20 @@ mod tests {
         let (c, far) = (camera.centre(), camera.unproject(x, y, 1.0));
         let ray = far - c;
         let wall = (6.0 - c.z) / ray.z;
-        let ground = if ray.y > 1e-9 { (1.0 - c.y) / ray.y } else { f64::INFINITY };
+        let ground = if ray.y > 1e-9 {
+            (1.0 - c.y) / ray.y
+        } else {
+            f64::INFINITY
+        };
         1.0 / wall.min(ground)
     }
 
     /// The disc's disparity at a pixel of frame `t`, where it is seen there.
     fn disc_disparity(disc: &Disc, camera: &Camera, t: usize, x: f64, y: f64) -> Option<f64> {
-        let (c, ray) = (camera.centre(), camera.unproject(x, y, 1.0) - camera.centre());
+        let (c, ray) = (
+            camera.centre(),
+            camera.unproject(x, y, 1.0) - camera.centre(),
+        );
         let middle = (disc.middle)(t);
         let s = if disc.ball {
             // the nearer of the two places where the ray meets the sphere
@@ -230,7 +263,8 @@ mod tests {
                     let turn = disc.turn_rad * (b as f64 - a as f64);
                     let off = cameras[a].unproject(x, y, 1.0 / d) - (disc.middle)(a);
                     let (s, c) = turn.sin_cos();
-                    (disc.middle)(b) + Vector3::new(c * off.x - s * off.y, s * off.x + c * off.y, off.z)
+                    (disc.middle)(b)
+                        + Vector3::new(c * off.x - s * off.y, s * off.x + c * off.y, off.z)
                 }
                 None => cameras[a].unproject(x, y, 1.0 / behind(a, p)),
             };
@@ -239,30 +273,45 @@ mod tests {
         };
         let flow = |a: usize, b: usize| {
             let (u, v) = (0..W * H).map(|p| moved(a, b, p)).unzip();
-            Flow { width: W, height: H, u, v }
+            Flow {
+                width: W,
+                height: H,
+                u,
+                v,
+            }
         };
         let map = |f: &dyn Fn(usize, usize) -> f64| -> Vec<Vec<f32>> {
-            (0..FRAMES).map(|t| (0..W * H).map(|p| f(t, p) as f32).collect()).collect()
+            (0..FRAMES)
+                .map(|t| (0..W * H).map(|p| f(t, p) as f32).collect())
+                .collect()
         };
         let moves = |t: usize, p: usize| if part(t, p).is_some() { 255 } else { 0 };
         let truth = map(&|t, p| part(t, p).unwrap_or_else(|| behind(t, p)));
         let clip = ClipData {
             size: (W, H),
-            moving: (0..FRAMES).map(|t| (0..W * H).map(|p| moves(t, p)).collect()).collect(),
+            moving: (0..FRAMES)
+                .map(|t| (0..W * H).map(|p| moves(t, p)).collect())
+                .collect(),
             disparity: map(&|t, p| behind(t, p)),
-            flows: (0..FRAMES - 1).map(|t| FlowPair::exact(flow(t, t + 1), flow(t + 1, t))).collect(),
+            flows: (0..FRAMES - 1)
+                .map(|t| FlowPair::exact(flow(t, t + 1), flow(t + 1, t)))
+                .collect(),
             cameras,
         };
         (clip, truth)
     }
 
-    /// Mean relative error of depth inside the disc, before and after, from a guess that is wrong by `guess(t)`.
+    /// Mean relative error of depth inside the disc, before and after, from a guess that is wrong
+    /// by `guess(t)`.
     fn errors(disc: &Disc, guess: impl Fn(usize) -> f32) -> (f32, f32) {
         errors_in(world(disc), guess)
     }
 
     /// The same in a given world.
-    fn errors_in((world, truth): (ClipData, Vec<Vec<f32>>), guess: impl Fn(usize) -> f32) -> (f32, f32) {
+    fn errors_in(
+        (world, truth): (ClipData, Vec<Vec<f32>>),
+        guess: impl Fn(usize) -> f32,
+    ) -> (f32, f32) {
         let mut disparity = truth.clone();
         for (t, disparity) in disparity.iter_mut().enumerate() {
             for (d, moving) in disparity.iter_mut().zip(&world.moving[t]) {
@@ -289,10 +338,22 @@ mod tests {
 
     #[test]
     fn spinning_wheel_stays_in_place_and_rolling_object_has_the_depth_of_its_contact() {
-        let wheel = Disc { ball: false, radius: 0.5, middle: |_| Vector3::new(0.3, -0.1, 3.0), turn_rad: 0.15 };
+        let wheel = Disc {
+            ball: false,
+            radius: 0.5,
+            middle: |_| Vector3::new(0.3, -0.1, 3.0),
+            turn_rad: 0.15,
+        };
         let rolls = |t: usize| Vector3::new(-0.8 + 0.07 * t as f64, 0.6, 3.0 - 0.02 * t as f64);
-        let rolling = Disc { ball: false, radius: 0.4, middle: rolls, turn_rad: 0.17 };
-        for (what, disc, guess, most) in [("wheel", wheel, 1.2, 0.03), ("rolling", rolling, 0.8, 0.08)] {
+        let rolling = Disc {
+            ball: false,
+            radius: 0.4,
+            middle: rolls,
+            turn_rad: 0.17,
+        };
+        for (what, disc, guess, most) in
+            [("wheel", wheel, 1.2, 0.03), ("rolling", rolling, 0.8, 0.08)]
+        {
             let (before, after) = errors(&disc, |t| guess + 0.1 * (t as f32).sin());
             assert!(before > 0.15 && after < most, "{what}: {before} {after}");
         }
@@ -301,12 +362,21 @@ mod tests {
     #[test]
     fn something_static_before_an_object_does_not_draw_it_near() {
         let rolls = |t: usize| Vector3::new(-0.8 + 0.07 * t as f64, 0.6, 3.0 - 0.02 * t as f64);
-        let (mut clip, truth) = world(&Disc { ball: false, radius: 0.4, middle: rolls, turn_rad: 0.17 });
-        // a post at depth 1 hides what is left of the disc, so the background that is filled in behind its left side is as near
+        let (mut clip, truth) = world(&Disc {
+            ball: false,
+            radius: 0.4,
+            middle: rolls,
+            turn_rad: 0.17,
+        });
+        // a post at depth 1 hides what is left of the disc, so the background that is filled in
+        // behind its left side is as near
         for (disparity, moving) in clip.disparity.iter_mut().zip(&clip.moving) {
             let inside: Vec<usize> = (0..W * H).filter(|&p| moving[p] > 0).collect();
             let left = inside.iter().map(|p| p % W).min().unwrap_or(0);
-            inside.into_iter().filter(|p| p % W < left + 6).for_each(|p| disparity[p] = 1.0);
+            inside
+                .into_iter()
+                .filter(|p| p % W < left + 6)
+                .for_each(|p| disparity[p] = 1.0);
         }
         let (before, after) = errors_in((clip, truth), |t| 0.8 + 0.1 * (t as f32).sin());
         assert!(before > 0.15 && after < 0.1, "{before} {after}");

@@ -13,7 +13,8 @@ const LEAST_POINTS: usize = 12;
 const NOISE_PX: f32 = 0.6;
 /// Weight of the disparity that contact suggests.
 const PRIOR: f32 = 0.001;
-/// Share of the relief of a region that is kept, 0..1, its slope included: adjustment of small regions over few frames exaggerates both.
+/// Share of the relief of a region that is kept, 0..1, its slope included: adjustment of small
+/// regions over few frames exaggerates both.
 const RELIEF: f32 = 0.5;
 /// Iterations with the shape held.
 const POSE_ITERATIONS: usize = 6;
@@ -50,24 +51,46 @@ impl Shape {
     }
 
     /// The pixels of a frame with a value, and the value.
-    pub fn known<'a>(&'a self, clip: &'a Clip<'_>, k: usize) -> impl Iterator<Item = (u32, f32)> + 'a {
-        self.disparity[k].iter().enumerate().filter(|(_, d)| **d > 0.0).map(move |(g, d)| {
-            let (x, y) = (g % self.grid.width * BLOCK_PX, g / self.grid.width * BLOCK_PX);
-            ((y * clip.width + x) as u32, *d)
-        })
+    pub fn known<'a>(
+        &'a self,
+        clip: &'a Clip<'_>,
+        k: usize,
+    ) -> impl Iterator<Item = (u32, f32)> + 'a {
+        self.disparity[k]
+            .iter()
+            .enumerate()
+            .filter(|(_, d)| **d > 0.0)
+            .map(move |(g, d)| {
+                let (x, y) = (
+                    g % self.grid.width * BLOCK_PX,
+                    g / self.grid.width * BLOCK_PX,
+                );
+                ((y * clip.width + x) as u32, *d)
+            })
     }
 }
 
 /// The direction of a pixel in the camera, of z 1.
 fn ray(camera: &Camera, x: usize, y: usize) -> Vector3<f64> {
     let k = &camera.intrinsics;
-    Vector3::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy, 1.0)
+    Vector3::new(
+        (x as f64 + 0.5 - k.cx) / k.fx,
+        (y as f64 + 0.5 - k.cy) / k.fy,
+        1.0,
+    )
 }
 
 /// Adjusts one part; `before` is the disparity that it was believed to have.
-pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f32>]) -> Option<Shape> {
+pub(super) fn reconstruct(
+    clip: &Clip<'_>,
+    tracklet: &Tracklet,
+    before: &[Vec<f32>],
+) -> Option<Shape> {
     let (w, h) = (clip.width, clip.height);
-    let grid = Grid { width: w.div_ceil(BLOCK_PX), height: h.div_ceil(BLOCK_PX) };
+    let grid = Grid {
+        width: w.div_ceil(BLOCK_PX),
+        height: h.div_ceil(BLOCK_PX),
+    };
     let inside = Inside::of(clip, tracklet);
     let edges = factors(clip, tracklet, &inside, grid);
     let frames = tracklet.parts.len();
@@ -76,13 +99,22 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
             (0..grid.len())
                 .map(|g| {
                     let (x, y) = (g % grid.width * BLOCK_PX, g / grid.width * BLOCK_PX);
-                    if inside.at(k, x as f32, y as f32, w, h) { before[tracklet.first + k][y * w + x] } else { 0.0 }
+                    if inside.at(k, x as f32, y as f32, w, h) {
+                        before[tracklet.first + k][y * w + x]
+                    } else {
+                        0.0
+                    }
                 })
                 .collect()
         })
         .collect();
     // Disparities count in units of the part's own, so that one prior fits near and far parts.
-    let known: Vec<f32> = sensor.iter().flatten().copied().filter(|d| *d > 0.0).collect();
+    let known: Vec<f32> = sensor
+        .iter()
+        .flatten()
+        .copied()
+        .filter(|d| *d > 0.0)
+        .collect();
     let unit = known.iter().sum::<f32>() / known.len().max(1) as f32;
     if unit <= 0.0 || known.len() < LEAST_POINTS * frames {
         return None;
@@ -92,18 +124,30 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
         pose.translation *= f64::from(unit);
         pose
     };
-    let sensor: Vec<Vec<f32>> = sensor.into_iter().map(|s| s.into_iter().map(|d| d / unit).collect()).collect();
+    let sensor: Vec<Vec<f32>> = sensor
+        .into_iter()
+        .map(|s| s.into_iter().map(|d| d / unit).collect())
+        .collect();
     let k = clip.cameras[tracklet.first].intrinsics;
     let mut geometry = Geometry {
         grid,
         lens: Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64),
-        poses: clip.cameras[tracklet.first..tracklet.first + frames].iter().map(scaled).collect(),
-        disparity: sensor.iter().map(|s| s.iter().map(|d| if *d > 0.0 { *d } else { 1.0 }).collect()).collect(),
+        poses: clip.cameras[tracklet.first..tracklet.first + frames]
+            .iter()
+            .map(scaled)
+            .collect(),
+        disparity: sensor
+            .iter()
+            .map(|s| s.iter().map(|d| if *d > 0.0 { *d } else { 1.0 }).collect())
+            .collect(),
         sensor,
     };
     let eta = vec![vec![1.0f32; grid.len()]; frames];
     let refs: Vec<&_> = edges.iter().collect();
-    let problem = Problem { edges: &refs, eta: &eta };
+    let problem = Problem {
+        edges: &refs,
+        eta: &eta,
+    };
     let options = DbaOptions {
         free: Free::Poses,
         iterations: POSE_ITERATIONS,
@@ -116,7 +160,11 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
         python_twin: false,
     };
     adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
-    let options = DbaOptions { free: Free::PosesAndDepth, iterations: ITERATIONS, ..options };
+    let options = DbaOptions {
+        free: Free::PosesAndDepth,
+        iterations: ITERATIONS,
+        ..options
+    };
     let report = adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
     if report.failed == report.iterations {
         return None;
@@ -125,25 +173,40 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
         .disparity
         .iter()
         .zip(&geometry.sensor)
-        .map(|(d, s)| d.iter().zip(s).map(|(d, s)| if *s > 0.0 { d * unit } else { 0.0 }).collect())
+        .map(|(d, s)| {
+            d.iter()
+                .zip(s)
+                .map(|(d, s)| if *s > 0.0 { d * unit } else { 0.0 })
+                .collect()
+        })
         .collect();
     disparity.iter_mut().for_each(|d| flatten(d));
     let mut poses = geometry.poses;
     for pose in &mut poses {
         pose.translation /= f64::from(unit);
     }
-    Some(Shape { grid, poses, disparity })
+    Some(Shape {
+        grid,
+        poses,
+        disparity,
+    })
 }
 
 /// Draws disparities towards their median; [`RELIEF`] of what they differ by stays.
 fn flatten(disparity: &mut [f32]) {
     let known = disparity.iter_mut().filter(|d| **d > 0.0);
-    let Some(median) = quantile(&mut known.map(|d| *d).collect::<Vec<_>>(), 0.5) else { return };
-    disparity.iter_mut().filter(|d| **d > 0.0).for_each(|d| *d = median + RELIEF * (*d - median));
+    let Some(median) = quantile(&mut known.map(|d| *d).collect::<Vec<_>>(), 0.5) else {
+        return;
+    };
+    disparity
+        .iter_mut()
+        .filter(|d| **d > 0.0)
+        .for_each(|d| *d = median + RELIEF * (*d - median));
 }
 
-/// Over how many frames a region is compared with itself, each both ways; rising. Not in seconds: errors add up with every step of the
-/// flow, and at 60 frames per second spans of the same seconds as at 24 gave 3 to 12 % worse depth on three scenes.
+/// Over how many frames a region is compared with itself, each both ways; rising. Not in seconds:
+/// errors add up with every step of the flow, and at 60 frames per second spans of the same seconds
+/// as at 24 gave 3 to 12 % worse depth on three scenes.
 const SPANS: [usize; 3] = [1, 3, 8];
 
 /// One bit a pixel of every frame of a tracklet.
@@ -166,18 +229,30 @@ impl Inside {
     }
 }
 
-/// The edges of every frame to those [`SPANS`] before and after; frames are counted from the tracklet's first.
+/// The edges of every frame to those [`SPANS`] before and after; frames are counted from the
+/// tracklet's first.
 fn factors(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid) -> Vec<Factor<f32>> {
     let ways = (0..tracklet.parts.len()).flat_map(|k| [(k, true), (k, false)]);
-    ways.flat_map(|(k, later)| chain(clip, tracklet, inside, grid, k, later)).collect()
+    ways.flat_map(|(k, later)| chain(clip, tracklet, inside, grid, k, later))
+        .collect()
 }
 
-fn chain(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid, k: usize, later: bool) -> Vec<Factor<f32>> {
+fn chain(
+    clip: &Clip<'_>,
+    tracklet: &Tracklet,
+    inside: &Inside,
+    grid: Grid,
+    k: usize,
+    later: bool,
+) -> Vec<Factor<f32>> {
     let (w, h, block) = (clip.width, clip.height, BLOCK_PX as f32);
     let n = grid.len();
     let (mut px, mut py, mut miss) = (vec![0.0f32; n], vec![0.0f32; n], vec![f32::INFINITY; n]);
     for g in 0..n {
-        let (x, y) = ((g % grid.width) as f32 * block, (g / grid.width) as f32 * block);
+        let (x, y) = (
+            (g % grid.width) as f32 * block,
+            (g / grid.width) as f32 * block,
+        );
         if inside.at(k, x, y, w, h) {
             (px[g], py[g], miss[g]) = (x, y, 0.0);
         }
@@ -205,11 +280,23 @@ fn chain(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid, k: u
         }
         at = next;
         if SPANS.contains(&span) {
-            let weight: Vec<f32> = miss.iter().map(|m| if m.is_finite() { 1.0 / (1.0 + m * m) } else { 0.0 }).collect();
+            let weight: Vec<f32> = miss
+                .iter()
+                .map(|m| {
+                    if m.is_finite() {
+                        1.0 / (1.0 + m * m)
+                    } else {
+                        0.0
+                    }
+                })
+                .collect();
             out.push(Factor {
                 source: k,
                 target: at,
-                target_px: [px.iter().map(|x| x / block).collect(), py.iter().map(|y| y / block).collect()],
+                target_px: [
+                    px.iter().map(|x| x / block).collect(),
+                    py.iter().map(|y| y / block).collect(),
+                ],
                 weight: [weight.clone(), weight],
             });
         }

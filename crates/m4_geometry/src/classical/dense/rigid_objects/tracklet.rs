@@ -1,9 +1,9 @@
-//! A moving part through time, for as long as it stays one part, and which pixels of the masks belong to which object while
-//! objects pass in front of one another.
+//! A moving part through time, for as long as it stays one part, and which pixels of the masks
+//! belong to which object while objects pass in front of one another.
 //!
-//! Two objects whose images touch are one connected part of the mask. Those that were separate before are separated by
-//! carrying their labels along the flow, those that will be by carrying labels back from then; a region is what has
-//! the same pair of labels.
+//! Two objects whose images touch are one connected part of the mask. Those that were separate
+//! before are separated by carrying their labels along the flow, those that will be by carrying
+//! labels back from then; a region is what has the same pair of labels.
 
 use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, shortest};
 use crate::classical::dense::regions::Components;
@@ -14,7 +14,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Most frames that are adjusted together: bounds memory.
 const LONGEST: usize = 96;
-/// A region that grows or shrinks by more than this factor from one frame to the next is another region.
+/// A region that grows or shrinks by more than this factor from one frame to the next is another
+/// region.
 const GROWTH: f32 = 1.6;
 
 /// One connected part in consecutive frames.
@@ -49,8 +50,14 @@ fn heirs(clip: &Clip<'_>, from: (usize, &Components), to: (usize, &Components)) 
                     hits[to.label[y * w + x] as usize] += 1;
                 }
             }
-            let best = (1..hits.len()).max_by_key(|&k| (hits[k], usize::MAX - k)).unwrap_or(0);
-            if best > 0 && 2 * hits[best] > seen { best } else { 0 }
+            let best = (1..hits.len())
+                .max_by_key(|&k| (hits[k], usize::MAX - k))
+                .unwrap_or(0);
+            if best > 0 && 2 * hits[best] > seen {
+                best
+            } else {
+                0
+            }
         })
         .collect()
 }
@@ -67,17 +74,22 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
         let (before, now) = ((t - 1, &regions[t - 1]), (t, &regions[t]));
         (heirs(clip, before, now), heirs(clip, now, before))
     };
-    let links: Vec<(Vec<usize>, Vec<usize>)> = (1..regions.len()).into_par_iter().map(both).collect();
+    let links: Vec<(Vec<usize>, Vec<usize>)> =
+        (1..regions.len()).into_par_iter().map(both).collect();
     for (t, now) in regions.iter().enumerate() {
         let mut next: Vec<Option<Tracklet>> = (0..now.pixels.len()).map(|_| None).collect();
         if let Some(before) = t.checked_sub(1).map(|t| &regions[t]) {
             let (there, back) = &links[t - 1];
             for (a, tracklet) in open.drain(..).enumerate() {
-                let Some(mut tracklet) = tracklet else { continue };
+                let Some(mut tracklet) = tracklet else {
+                    continue;
+                };
                 let b = there[a];
                 let mutual = b > 0 && back[b - 1] == a + 1;
-                let (old, new) =
-                    (before.pixels[a].len() as f32, now.pixels.get(b.wrapping_sub(1)).map_or(0, Vec::len) as f32);
+                let (old, new) = (
+                    before.pixels[a].len() as f32,
+                    now.pixels.get(b.wrapping_sub(1)).map_or(0, Vec::len) as f32,
+                );
                 let alike = new > old / GROWTH && new < old * GROWTH;
                 if mutual && alike && tracklet.parts.len() < LONGEST {
                     tracklet.parts.push(now.pixels[b - 1].clone());
@@ -89,7 +101,10 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
         }
         for (k, slot) in next.iter_mut().enumerate() {
             if slot.is_none() && now.pixels[k].len() >= least {
-                *slot = Some(Tracklet { first: t, parts: vec![now.pixels[k].clone()] });
+                *slot = Some(Tracklet {
+                    first: t,
+                    parts: vec![now.pixels[k].clone()],
+                });
             }
         }
         open = next;
@@ -109,14 +124,26 @@ const PAIR: f32 = 0.5;
 /// The regions of every frame.
 pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
     let (w, h) = (clip.width, clip.height);
-    let parts: Vec<Components> = clip.moving.par_iter().map(|m| Components::of(w, h, m)).collect();
+    let parts: Vec<Components> = clip
+        .moving
+        .par_iter()
+        .map(|m| Components::of(w, h, m))
+        .collect();
     let least = ((LEAST_SHARE * (w * h) as f32) as usize).max(1);
-    let (later, earlier) = rayon::join(|| carry(clip, &parts, least, true), || carry(clip, &parts, least, false));
+    let (later, earlier) = rayon::join(
+        || carry(clip, &parts, least, true),
+        || carry(clip, &parts, least, false),
+    );
     let labels = later.par_iter().zip(&earlier);
-    parts.par_iter().zip(labels).map(|(parts, (a, b))| pairs(w, h, parts, a, b, least)).collect()
+    parts
+        .par_iter()
+        .zip(labels)
+        .map(|(parts, (a, b))| pairs(w, h, parts, a, b, least))
+        .collect()
 }
 
-/// Labels (`[height][width]` by frame, 0 outside the masks) carried from one end of the clip to the other.
+/// Labels (`[height][width]` by frame, 0 outside the masks) carried from one end of the clip to the
+/// other.
 fn carry(clip: &Clip<'_>, parts: &[Components], least: usize, later: bool) -> Vec<Vec<u32>> {
     let n = parts.len();
     let mut out: Vec<Vec<u32>> = vec![Vec::new(); n];
@@ -146,7 +173,11 @@ fn carry(clip: &Clip<'_>, parts: &[Components], least: usize, later: bool) -> Ve
 fn own(parts: &Components, fresh: &mut u32) -> Vec<u32> {
     let first = *fresh;
     *fresh += parts.pixels.len() as u32;
-    parts.label.iter().map(|&l| if l > 0 { first + l } else { 0 }).collect()
+    parts
+        .label
+        .iter()
+        .map(|&l| if l > 0 { first + l } else { 0 })
+        .collect()
 }
 
 /// The labels of frame `t` from those of its neighbour `s`.
@@ -183,12 +214,16 @@ fn next(
                 all += 1;
             }
         }
-        let first = votes.iter().max_by_key(|(l, n)| (**n, u32::MAX - **l)).map(|(l, n)| (*l, *n));
+        let first = votes
+            .iter()
+            .max_by_key(|(l, n)| (**n, u32::MAX - **l))
+            .map(|(l, n)| (*l, *n));
         let alone = first.is_some_and(|(_, n)| n as f32 >= ALL_BUT * all as f32);
         // What was apart for a moment only is a flaw of the masks.
         let kept = |l: u32, n: usize| {
             n as f32 >= KEPT * area[&l] as f32
-                && (Some((l, n)) == first || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= shortest))
+                && (Some((l, n)) == first
+                    || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= shortest))
         };
         heirs.push(votes.into_iter().filter(|(l, n)| kept(*l, *n)).collect());
     }
@@ -232,7 +267,11 @@ fn new(fresh: &mut u32) -> u32 {
 /// Gives every pixel of a part without a label that of the nearest that has one.
 fn flood(w: usize, h: usize, parts: &Components, k: usize, labels: &mut [u32]) {
     let part = k as u32 + 1;
-    let mut open: VecDeque<usize> = parts.pixels[k].iter().map(|&p| p as usize).filter(|&p| labels[p] > 0).collect();
+    let mut open: VecDeque<usize> = parts.pixels[k]
+        .iter()
+        .map(|&p| p as usize)
+        .filter(|&p| labels[p] > 0)
+        .collect();
     while let Some(p) = open.pop_front() {
         let (x, y) = (p % w, p / w);
         for ny in y.saturating_sub(1)..(y + 2).min(h) {
@@ -247,13 +286,15 @@ fn flood(w: usize, h: usize, parts: &Components, k: usize, labels: &mut [u32]) {
     }
 }
 
-/// The regions of one frame: pairs of labels that are the better part of either, the rest with the nearest of them.
+/// The regions of one frame: pairs of labels that are the better part of either, the rest with the
+/// nearest of them.
 fn pairs(w: usize, h: usize, parts: &Components, a: &[u32], b: &[u32], least: usize) -> Components {
     let mut label = vec![0u32; w * h];
     let mut regions: Vec<Vec<u32>> = Vec::new();
     for (k, pixels) in parts.pixels.iter().enumerate() {
         let mut count: BTreeMap<(u32, u32), usize> = BTreeMap::new();
-        let (mut of_a, mut of_b): (BTreeMap<u32, usize>, BTreeMap<u32, usize>) = (BTreeMap::new(), BTreeMap::new());
+        let (mut of_a, mut of_b): (BTreeMap<u32, usize>, BTreeMap<u32, usize>) =
+            (BTreeMap::new(), BTreeMap::new());
         for &p in pixels {
             let (a, b) = (a[p as usize], b[p as usize]);
             *count.entry((a, b)).or_default() += 1;
@@ -263,8 +304,12 @@ fn pairs(w: usize, h: usize, parts: &Components, a: &[u32], b: &[u32], least: us
         let whole = |(pair, n): (&(u32, u32), &usize)| {
             *n >= least && *n as f32 >= PAIR * of_a[&pair.0].min(of_b[&pair.1]) as f32
         };
-        let kept: BTreeMap<(u32, u32), u32> =
-            count.iter().filter(|x| whole(*x)).map(|(pair, _)| *pair).zip(regions.len() as u32 + 1..).collect();
+        let kept: BTreeMap<(u32, u32), u32> = count
+            .iter()
+            .filter(|x| whole(*x))
+            .map(|(pair, _)| *pair)
+            .zip(regions.len() as u32 + 1..)
+            .collect();
         if kept.len() < 2 {
             regions.push(pixels.clone());
             for &p in pixels {
@@ -283,5 +328,8 @@ fn pairs(w: usize, h: usize, parts: &Components, a: &[u32], b: &[u32], least: us
             regions[label[p as usize] as usize - 1].push(p);
         }
     }
-    Components { label, pixels: regions }
+    Components {
+        label,
+        pixels: regions,
+    }
 }

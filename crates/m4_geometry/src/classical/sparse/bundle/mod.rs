@@ -1,10 +1,10 @@
 //! Bundle adjustment: poses, points and one shared focal length that explain all observations.
 //!
 //! Residual of a point `X` seen at `u` (pixels from the principal point) by a camera `R, T`:
-//! `r = f p_xy / p_z - u` with `p = R X + T`, loss `c^2/2 log(1 + w |r|^2 / c^2)` (Cauchy), `w` the weight of the point. Unknowns
-//! are twists `(tau, omega)` on the left of every pose but the first, the logarithm of `f`, and `X`.
-//! Points are eliminated (Schur complement); the reduced system is solved by a Cholesky
-//! factorisation that skips what lies before the first non-zero of each row.
+//! `r = f p_xy / p_z - u` with `p = R X + T`, loss `c^2/2 log(1 + w |r|^2 / c^2)` (Cauchy), `w` the
+//! weight of the point. Unknowns are twists `(tau, omega)` on the left of every pose but the first,
+//! the logarithm of `f`, and `X`. Points are eliminated (Schur complement); the reduced system is
+//! solved by a Cholesky factorisation that skips what lies before the first non-zero of each row.
 
 mod system;
 
@@ -51,7 +51,12 @@ pub(crate) struct BundleOptions {
 impl BundleOptions {
     /// Those of the adjustments of a whole map.
     pub fn whole(limits: &Limits, tolerance: f64, free_focal: bool) -> Self {
-        Self { cauchy_px: limits.cauchy_px, iterations: 30, tolerance, free_focal }
+        Self {
+            cauchy_px: limits.cauchy_px,
+            iterations: 30,
+            tolerance,
+            free_focal,
+        }
     }
 }
 
@@ -69,8 +74,8 @@ impl Bundle {
         self.log_focal.exp()
     }
 
-    /// Levenberg and Marquardt's method with Nielsen's damping rule (1999). It ends at once when the user asks to stop; what
-    /// is found then is not to be used.
+    /// Levenberg and Marquardt's method with Nielsen's damping rule (1999). It ends at once when
+    /// the user asks to stop; what is found then is not to be used.
     pub fn adjust(&mut self, options: &BundleOptions, progress: &dyn Progress) -> BundleReport {
         let runs = point_runs(&self.observations, self.points.len());
         let fixed = self.observations.iter().map(|o| o.pose).min().unwrap_or(0);
@@ -94,7 +99,11 @@ impl Bundle {
             let trial_cost = trial.cost(options);
             let predicted = system.predicted_gain(self, &jacobians, &step, &point_steps);
             if trial_cost.is_finite() && trial_cost < cost {
-                let ratio = if predicted > 0.0 { (cost - trial_cost) / predicted } else { 0.5 };
+                let ratio = if predicted > 0.0 {
+                    (cost - trial_cost) / predicted
+                } else {
+                    0.5
+                };
                 let small = (cost - trial_cost) < options.tolerance * cost;
                 (*self, cost) = (trial, trial_cost);
                 damping = (damping * (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0)).max(1e-12);
@@ -111,7 +120,10 @@ impl Bundle {
                 }
             }
         }
-        BundleReport { cost: cost / self.observations.len().max(1) as f64, log_focal_sigma }
+        BundleReport {
+            cost: cost / self.observations.len().max(1) as f64,
+            log_focal_sigma,
+        }
     }
 
     fn cost(&self, options: &BundleOptions) -> f64 {
@@ -121,7 +133,11 @@ impl Bundle {
             let squared = r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]);
             loss(self.weights[o.point] * squared, options.cauchy_px)
         };
-        let partials: Vec<f64> = self.observations.par_chunks(CHUNK).map(|chunk| chunk.iter().map(one).sum()).collect();
+        let partials: Vec<f64> = self
+            .observations
+            .par_chunks(CHUNK)
+            .map(|chunk| chunk.iter().map(one).sum())
+            .collect();
         partials.iter().sum()
     }
 
@@ -131,8 +147,14 @@ impl Bundle {
         let one = |o: &Observation| {
             // loss(w r^2, c) = w loss(r^2, c / sqrt w)
             let root = self.weights[o.point].sqrt();
-            Jacobian::new(&self.poses[o.pose], &self.points[o.point], focal, o.at, options.cauchy_px / root)
-                .scaled(root)
+            Jacobian::new(
+                &self.poses[o.pose],
+                &self.points[o.point],
+                focal,
+                o.at,
+                options.cauchy_px / root,
+            )
+            .scaled(root)
         };
         self.observations.par_iter().map(one).collect()
     }
@@ -181,7 +203,12 @@ fn point_runs(observations: &[Observation], points: usize) -> Vec<std::ops::Rang
 }
 
 /// The residual of a point, pixels; `None` when the point is not in front of the camera.
-pub(super) fn project(w2c: &Se3<f64>, point: &Vector3<f64>, focal: f64, at: [f64; 2]) -> Option<[f64; 2]> {
+pub(super) fn project(
+    w2c: &Se3<f64>,
+    point: &Vector3<f64>,
+    focal: f64,
+    at: [f64; 2],
+) -> Option<[f64; 2]> {
     let p = w2c.transform(point);
     (p.z > 1e-6).then(|| [focal * p.x / p.z - at[0], focal * p.y / p.z - at[1]])
 }
@@ -202,7 +229,13 @@ pub(crate) struct Jacobian {
 impl Jacobian {
     /// Derivatives of [`project`], weighted for Cauchy's loss of scale `cauchy_px`
     /// (weight `1 / (1 + |r|^2 / c^2)`).
-    pub fn new(w2c: &Se3<f64>, point: &Vector3<f64>, focal: f64, at: [f64; 2], cauchy_px: f64) -> Self {
+    pub fn new(
+        w2c: &Se3<f64>,
+        point: &Vector3<f64>,
+        focal: f64,
+        at: [f64; 2],
+        cauchy_px: f64,
+    ) -> Self {
         let Some(r) = project(w2c, point, focal, at) else {
             return Self::default();
         };
@@ -213,7 +246,8 @@ impl Jacobian {
         let residual = Vector2::new(r[0], r[1]);
         let scale = (1.0 / (1.0 + residual.norm_squared() / (cauchy_px * cauchy_px))).sqrt();
         let mut pose = Matrix2x6::zeros();
-        pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&(by_camera * scale));
+        pose.fixed_view_mut::<2, 3>(0, 0)
+            .copy_from(&(by_camera * scale));
         pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&(turn * scale));
         Self {
             residual: residual * scale,
@@ -247,24 +281,49 @@ mod tests {
         let mut rng = CounterRng::new(11, 0, 0);
         let poses: Vec<Se3<f64>> = (0..8)
             .map(|i| Se3 {
-                rotation: exp_so3(&Vector3::new(0.02, 0.08 * f64::from(i), 0.01 * f64::from(i))),
+                rotation: exp_so3(&Vector3::new(
+                    0.02,
+                    0.08 * f64::from(i),
+                    0.01 * f64::from(i),
+                )),
                 translation: Vector3::new(0.05 * f64::from(i), 0.0, 5.0),
             })
             .collect();
-        let points: Vec<Vector3<f64>> = (0..60).map(|_| Vector3::from_fn(|_, _| 1.2 * rng.normal())).collect();
+        let points: Vec<Vector3<f64>> = (0..60)
+            .map(|_| Vector3::from_fn(|_, _| 1.2 * rng.normal()))
+            .collect();
         let mut observations = Vec::new();
         for (point, x) in points.iter().enumerate() {
             for (pose, w2c) in poses.iter().enumerate() {
                 let p = w2c.transform(x);
-                let off = if observations.len() % 10 == 9 { 30.0 * rng.normal() } else { 0.0 };
-                observations.push(Observation { pose, point, at: [400.0 * p.x / p.z + off, 400.0 * p.y / p.z] });
+                let off = if observations.len() % 10 == 9 {
+                    30.0 * rng.normal()
+                } else {
+                    0.0
+                };
+                observations.push(Observation {
+                    pose,
+                    point,
+                    at: [400.0 * p.x / p.z + off, 400.0 * p.y / p.z],
+                });
             }
         }
-        Bundle { weights: vec![1.0; points.len()], poses, points, log_focal: 400.0_f64.ln(), observations }
+        Bundle {
+            weights: vec![1.0; points.len()],
+            poses,
+            points,
+            log_focal: 400.0_f64.ln(),
+            observations,
+        }
     }
 
     fn options(free_focal: bool) -> BundleOptions {
-        BundleOptions { cauchy_px: 1.0, iterations: 60, tolerance: 1e-9, free_focal }
+        BundleOptions {
+            cauchy_px: 1.0,
+            iterations: 60,
+            tolerance: 1e-9,
+            free_focal,
+        }
     }
 
     #[test]
@@ -280,12 +339,23 @@ mod tests {
         }
         bundle.log_focal += 0.08;
         let report = bundle.adjust(&options(true), &Silent);
-        assert!((bundle.focal() / 400.0 - 1.0).abs() < 2e-3, "{}", bundle.focal());
+        assert!(
+            (bundle.focal() / 400.0 - 1.0).abs() < 2e-3,
+            "{}",
+            bundle.focal()
+        );
         let fit = Sim3::umeyama(&bundle.points, &truth.points).expect("a cloud");
-        let worst =
-            bundle.points.iter().zip(&truth.points).map(|(a, b)| (fit.transform(a) - b).norm()).fold(0.0, f64::max);
+        let worst = bundle
+            .points
+            .iter()
+            .zip(&truth.points)
+            .map(|(a, b)| (fit.transform(a) - b).norm())
+            .fold(0.0, f64::max);
         assert!(worst < 0.02, "{worst}");
-        assert!(report.log_focal_sigma > 1e-4 && report.log_focal_sigma < 0.05, "{report:?}");
+        assert!(
+            report.log_focal_sigma > 1e-4 && report.log_focal_sigma < 0.05,
+            "{report:?}"
+        );
         assert_eq!(bundle.poses[0], truth.poses[0]);
     }
 
@@ -314,7 +384,10 @@ mod tests {
 
     #[test]
     fn derivatives_match_central_differences() {
-        let pose = Se3 { rotation: exp_so3(&Vector3::new(0.3, -0.5, 0.2)), translation: Vector3::new(0.2, -0.4, 3.0) };
+        let pose = Se3 {
+            rotation: exp_so3(&Vector3::new(0.3, -0.5, 0.2)),
+            translation: Vector3::new(0.2, -0.4, 3.0),
+        };
         let (x, focal, at) = (Vector3::new(0.7, -0.3, 1.1), 420.0_f64, [30.0, -12.0]);
         // A huge scale makes all weights 1.
         let j = Jacobian::new(&pose, &x, focal, at, 1e9);
@@ -322,25 +395,45 @@ mod tests {
         let moved = |k: usize, h: f64| {
             let step = |from: usize| move |i: usize, _: usize| if from + i == k { h } else { 0.0 };
             let focal = if k == 9 { focal * h.exp() } else { focal };
-            project(&pose.retract(&Vector6::from_fn(step(0))), &(x + Vector3::from_fn(step(6))), focal, at)
+            project(
+                &pose.retract(&Vector6::from_fn(step(0))),
+                &(x + Vector3::from_fn(step(6))),
+                focal,
+                at,
+            )
         };
         let h = 1e-6;
         for k in 0..10 {
-            let (a, b) = (moved(k, h).expect("in front"), moved(k, -h).expect("in front"));
+            let (a, b) = (
+                moved(k, h).expect("in front"),
+                moved(k, -h).expect("in front"),
+            );
             for i in 0..2 {
                 let want = match k {
                     0..6 => j.pose[(i, k)],
                     6..9 => j.point[(i, k - 6)],
                     _ => j.focal[i],
                 };
-                assert!(((a[i] - b[i]) / (2.0 * h) - want).abs() < 1e-4, "variable {k}, component {i}");
+                assert!(
+                    ((a[i] - b[i]) / (2.0 * h) - want).abs() < 1e-4,
+                    "variable {k}, component {i}"
+                );
             }
         }
     }
 
     #[test]
     fn behind_the_camera_nothing_pulls() {
-        let j = Jacobian::new(&Se3::identity(), &Vector3::new(0.0, 0.0, -1.0), 400.0, [0.0, 0.0], 1.0);
-        assert_eq!((j.residual.norm(), j.pose.norm(), j.point.norm()), (0.0, 0.0, 0.0));
+        let j = Jacobian::new(
+            &Se3::identity(),
+            &Vector3::new(0.0, 0.0, -1.0),
+            400.0,
+            [0.0, 0.0],
+            1.0,
+        );
+        assert_eq!(
+            (j.residual.norm(), j.pose.norm(), j.point.norm()),
+            (0.0, 0.0, 0.0)
+        );
     }
 }

@@ -5,8 +5,8 @@ use m4_core::nalgebra::{Matrix3, Matrix6x3, RowVector3, Vector3, Vector6};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Groups of points that are summed apart, then added in order: fixed, so that sums do not depend on
-/// the number of threads.
+/// Groups of points that are summed apart, then added in order: fixed, so that sums do not depend
+/// on the number of threads.
 const GROUPS: usize = 8;
 
 /// `S d = rhs` for poses and focal length.
@@ -22,8 +22,8 @@ pub(super) struct Reduced {
 }
 
 impl Reduced {
-    /// The step and the standard deviation of the logarithm of the focal length (infinite when it is
-    /// not free); `None` when the system is singular.
+    /// The step and the standard deviation of the logarithm of the focal length (infinite when it
+    /// is not free); `None` when the system is singular.
     pub fn solve(&self) -> Option<(Vec<f64>, f64)> {
         let factor = self.envelope.factorise(self.matrix.clone())?;
         let step = self.envelope.solve(&factor, &self.rhs);
@@ -90,7 +90,10 @@ fn point_block(jacobians: &[Jacobian], damping: f64) -> Option<(Matrix3<f64>, Ve
         v[(k, k)] += damping * v[(k, k)] + ridge;
     }
     let inverse = v.try_inverse()?;
-    inverse.iter().all(|x| x.is_finite()).then_some((inverse, g))
+    inverse
+        .iter()
+        .all(|x| x.is_finite())
+        .then_some((inverse, g))
 }
 
 pub(super) fn reduce(
@@ -124,16 +127,25 @@ pub(super) fn reduce(
         .map(|group| {
             let mut part = Part::zero(&envelope);
             for run in group.iter().filter(|run| !run.is_empty()) {
-                part.add_point(bundle, jacobians, run.clone(), damping, &pose_columns, focal_column);
+                part.add_point(
+                    bundle,
+                    jacobians,
+                    run.clone(),
+                    damping,
+                    &pose_columns,
+                    focal_column,
+                );
             }
             part
         })
         .collect();
     let mut sum = Part::zero(&envelope);
     for part in &parts {
-        for (sum, part) in
-            [(&mut sum.matrix, &part.matrix), (&mut sum.rhs, &part.rhs), (&mut sum.diagonal, &part.diagonal)]
-        {
+        for (sum, part) in [
+            (&mut sum.matrix, &part.matrix),
+            (&mut sum.rhs, &part.rhs),
+            (&mut sum.diagonal, &part.diagonal),
+        ] {
             sum.iter_mut().zip(part).for_each(|(s, p)| *s += p);
         }
     }
@@ -141,7 +153,13 @@ pub(super) fn reduce(
         sum.matrix[envelope.at(i, i)] += damping * sum.diagonal[i] + 1e-12;
     }
     let (matrix, rhs) = (sum.matrix, sum.rhs);
-    Reduced { envelope, pose_columns, focal_column, matrix, rhs }
+    Reduced {
+        envelope,
+        pose_columns,
+        focal_column,
+        matrix,
+        rhs,
+    }
 }
 
 /// Poses are coupled where one point is seen by both; all are coupled to the focal length.
@@ -154,8 +172,14 @@ fn envelope(
 ) -> Envelope {
     let mut first: Vec<usize> = (0..n).map(|row| row - row % 6).collect();
     for run in runs {
-        let columns = || bundle.observations[run.clone()].iter().filter_map(|o| pose_columns[o.pose]);
-        let Some(least) = columns().min() else { continue };
+        let columns = || {
+            bundle.observations[run.clone()]
+                .iter()
+                .filter_map(|o| pose_columns[o.pose])
+        };
+        let Some(least) = columns().min() else {
+            continue;
+        };
         for row in columns().flat_map(|c| c..c + 6) {
             first[row] = first[row].min(least);
         }
@@ -188,7 +212,9 @@ impl Part<'_> {
                 self.rhs[f] -= j.focal.dot(&j.residual);
                 cross_focal += j.focal.transpose() * j.point;
             }
-            let Some(c) = pose_columns[o.pose] else { continue };
+            let Some(c) = pose_columns[o.pose] else {
+                continue;
+            };
             let (square, gradient) = (j.pose.transpose() * j.pose, j.pose.transpose() * j.residual);
             for a in 0..6 {
                 for b in 0..=a {
@@ -205,7 +231,9 @@ impl Part<'_> {
             }
             cross.push((c, j.pose.transpose() * j.point));
         }
-        let Some((inverse, gradient)) = block else { return };
+        let Some((inverse, gradient)) = block else {
+            return;
+        };
         // Observations of a track are in order of time, so columns ascend.
         for (i, (row, w)) in cross.iter().enumerate() {
             let y = w * inverse;
@@ -251,12 +279,17 @@ pub(super) fn substitute(
 ) -> Vec<Vector3<f64>> {
     runs.par_iter()
         .map(|run| {
-            let Some((inverse, mut gradient)) = point_block(&jacobians[run.clone()], damping) else {
+            let Some((inverse, mut gradient)) = point_block(&jacobians[run.clone()], damping)
+            else {
                 return Vector3::zeros();
             };
-            for (o, j) in bundle.observations[run.clone()].iter().zip(&jacobians[run.clone()]) {
+            for (o, j) in bundle.observations[run.clone()]
+                .iter()
+                .zip(&jacobians[run.clone()])
+            {
                 if let Some(c) = system.pose_columns[o.pose] {
-                    gradient += j.point.transpose() * (j.pose * Vector6::from_fn(|k, _| step[c + k]));
+                    gradient +=
+                        j.point.transpose() * (j.pose * Vector6::from_fn(|k, _| step[c + k]));
                 }
                 if let Some(c) = system.focal_column {
                     gradient += j.point.transpose() * j.focal * step[c];
@@ -267,8 +300,8 @@ pub(super) fn substitute(
         .collect()
 }
 
-/// Which entries of the lower triangle may differ from zero: those from `first` of a row to its diagonal. A long
-/// clip has thousands of rows and hardly any that reach far back.
+/// Which entries of the lower triangle may differ from zero: those from `first` of a row to its
+/// diagonal. A long clip has thousands of rows and hardly any that reach far back.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Envelope {
     first: Vec<usize>,
@@ -302,7 +335,8 @@ impl Envelope {
         self.begin[row] + column - self.first[row]
     }
 
-    /// The Cholesky factor of the matrix with these entries; `None` when it is not positive definite.
+    /// The Cholesky factor of the matrix with these entries; `None` when it is not positive
+    /// definite.
     fn factorise(&self, mut data: Vec<f64>) -> Option<Vec<f64>> {
         let Self { first, begin } = self;
         for i in 0..first.len() {
@@ -348,7 +382,12 @@ impl Envelope {
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0_f64; 8];
     let (a_chunks, b_chunks) = (a.chunks_exact(8), b.chunks_exact(8));
-    let tail: f64 = a_chunks.remainder().iter().zip(b_chunks.remainder()).map(|(x, y)| x * y).sum();
+    let tail: f64 = a_chunks
+        .remainder()
+        .iter()
+        .zip(b_chunks.remainder())
+        .map(|(x, y)| x * y)
+        .sum();
     for (x, y) in a_chunks.zip(b_chunks) {
         for k in 0..8 {
             sums[k] += x[k] * y[k];
@@ -368,18 +407,27 @@ mod tests {
         for i in 0..n {
             for j in 0..=i {
                 if i - j < 6 || i == n - 1 {
-                    let value = if i == j { 20.0 + i as f64 } else { ((i * 7 + j * 3) as f64).sin() };
+                    let value = if i == j {
+                        20.0 + i as f64
+                    } else {
+                        ((i * 7 + j * 3) as f64).sin()
+                    };
                     (a[i * n + j], a[j * n + i]) = (value, value);
                 }
             }
         }
         let want: Vec<f64> = (0..n).map(|i| (i as f64).cos()).collect();
-        let b: Vec<f64> = (0..n).map(|i| (0..n).map(|j| a[i * n + j] * want[j]).sum()).collect();
+        let b: Vec<f64> = (0..n)
+            .map(|i| (0..n).map(|j| a[i * n + j] * want[j]).sum())
+            .collect();
         let first = |i: usize| if i == n - 1 { 0 } else { i.saturating_sub(5) };
         let envelope = Envelope::new((0..n).map(first).collect());
         assert_eq!((envelope.rows(), envelope.entries()), (n, 15 + 17 * 6 + n));
-        let within =
-            |a: &[f64]| -> Vec<f64> { (0..n).flat_map(|i| a[i * n + first(i)..=i * n + i].to_vec()).collect() };
+        let within = |a: &[f64]| -> Vec<f64> {
+            (0..n)
+                .flat_map(|i| a[i * n + first(i)..=i * n + i].to_vec())
+                .collect()
+        };
         assert_eq!(within(&a)[envelope.at(10, 7)], a[10 * n + 7]);
         let factor = envelope.factorise(within(&a)).expect("positive definite");
         let got = envelope.solve(&factor, &b);

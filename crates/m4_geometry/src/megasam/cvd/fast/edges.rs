@@ -22,8 +22,8 @@ struct Scale {
     height: usize,
 }
 
-/// Adds to `pull` (plain) the gradient with respect to `off = log(initial) - log(disparity)` (plain), times `weight`, of the
-/// means over `frames` frames; returns the weighted loss.
+/// Adds to `pull` (plain) the gradient with respect to `off = log(initial) - log(disparity)`
+/// (plain), times `weight`, of the means over `frames` frames; returns the weighted loss.
 #[inline(always)]
 pub(super) fn gradient_term(
     shape: Shape,
@@ -41,17 +41,32 @@ pub(super) fn gradient_term(
             continue;
         }
         let weight = weight / (frames * (width - 2) * (height - 2)) as f64;
-        let Scratch { off: small_off, log_initial: small_initial, pull: small_pull, rows } = &mut *scratch;
+        let Scratch {
+            off: small_off,
+            log_initial: small_initial,
+            pull: small_pull,
+            rows,
+        } = &mut *scratch;
         for row in &mut *rows {
             row.resize(shape.width, 0.0);
         }
         if interval == 1 {
-            let scale = Scale { stride: shape.stride, width, height };
+            let scale = Scale {
+                stride: shape.stride,
+                width,
+                height,
+            };
             loss += one_scale(scale, weight, off, log_initial, pull, rows);
             continue;
         }
-        let scale = Scale { stride: width, width, height };
-        let at = |x: usize, y: usize| (y * interval + interval / 2) * shape.stride + x * interval + interval / 2;
+        let scale = Scale {
+            stride: width,
+            width,
+            height,
+        };
+        let at = |x: usize, y: usize| {
+            (y * interval + interval / 2) * shape.stride + x * interval + interval / 2
+        };
         for (small, plane) in [(&mut *small_off, off), (&mut *small_initial, log_initial)] {
             small.clear();
             for y in 0..height {
@@ -79,11 +94,19 @@ fn one_scale(
     pull: &mut [f32],
     rows: &mut [Vec<f32>; 3],
 ) -> f64 {
-    let Scale { stride, width, height } = scale;
+    let Scale {
+        stride,
+        width,
+        height,
+    } = scale;
     let inner = width - 2;
     let weight32 = weight as f32;
     let [losses, across, down] = rows;
-    let (losses, across, down) = (&mut losses[..inner], &mut across[..inner], &mut down[..inner]);
+    let (losses, across, down) = (
+        &mut losses[..inner],
+        &mut across[..inner],
+        &mut down[..inner],
+    );
     let mut loss = 0.0;
     for y in 1..height - 1 {
         let cut = |y: usize, x: usize| y * stride + x..y * stride + x + inner;
@@ -92,8 +115,8 @@ fn one_scale(
         let [i_left, i_right, i_middle] = [0, 2, 1].map(|x| &log_initial[cut(y, x)]);
         let [i_top, i_bottom] = [y - 1, y + 1].map(|y| &log_initial[cut(y, 1)]);
         row(
-            left, right, top, bottom, middle, i_left, i_right, i_top, i_bottom, i_middle, weight32, losses, across,
-            down,
+            left, right, top, bottom, middle, i_left, i_right, i_top, i_bottom, i_middle, weight32,
+            losses, across, down,
         );
         loss += sum(losses);
         let mut add = |y: usize, x: usize, sign: f32, row: &[f32]| {
@@ -110,8 +133,8 @@ fn one_scale(
     loss
 }
 
-/// One row: the loss and what pulls at the ends of both differences. A function of its own so that the compiler knows that
-/// none of the slices overlap, which it needs for vectors.
+/// One row: the loss and what pulls at the ends of both differences. A function of its own so that
+/// the compiler knows that none of the slices overlap, which it needs for vectors.
 #[inline(always)]
 fn row(
     left: &[f32],
@@ -130,7 +153,13 @@ fn row(
     down: &mut [f32],
 ) {
     let n = losses.len();
-    let (left, right, top, bottom, middle) = (&left[..n], &right[..n], &top[..n], &bottom[..n], &middle[..n]);
+    let (left, right, top, bottom, middle) = (
+        &left[..n],
+        &right[..n],
+        &top[..n],
+        &bottom[..n],
+        &middle[..n],
+    );
     let (i_left, i_right, i_top) = (&i_left[..n], &i_right[..n], &i_top[..n]);
     let (i_bottom, i_middle) = (&i_bottom[..n], &i_middle[..n]);
     let (across, down) = (&mut across[..n], &mut down[..n]);

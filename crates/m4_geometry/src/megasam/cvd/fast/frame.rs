@@ -1,4 +1,5 @@
-//! Everything of a frame that no other frame has a part in: the shape terms, the sum of all gradients, and Adam.
+//! Everything of a frame that no other frame has a part in: the shape terms, the sum of all
+//! gradients, and Adam.
 
 use super::edges::gradient_term;
 use super::ln;
@@ -9,7 +10,8 @@ use crate::dba::Pinhole;
 use crate::megasam::cvd::Weights;
 use crate::megasam::cvd::reference::{DECAY, DISPARITY, UNCERTAINTY, edge_weight};
 
-/// The variables of a frame, their moments, and what the terms compare with. Planes are plain unless it says bordered.
+/// The variables of a frame, their moments, and what the terms compare with. Planes are plain
+/// unless it says bordered.
 #[derive(Debug)]
 pub(super) struct Frame {
     /// In stage 1 the initial disparity; in stage 2 the variable. Not clamped.
@@ -110,7 +112,8 @@ impl Frame {
         }
     }
 
-    /// `scale disparity + shift` inside the limits into `seen`, and u inside its own into `seen_uncertainty`.
+    /// `scale disparity + shift` inside the limits into `seen`, and u inside its own into
+    /// `seen_uncertainty`.
     #[inline(always)]
     pub fn look(&mut self, shape: Shape, scale: f32, shift: f32) {
         let [low, high] = UNCERTAINTY.map(|u| u as f32);
@@ -129,7 +132,8 @@ impl Frame {
         }
     }
 
-    /// Begins a stage: the disparity as it is seen now is the initial one from here on, and nothing has moved yet.
+    /// Begins a stage: the disparity as it is seen now is the initial one from here on, and nothing
+    /// has moved yet.
     #[inline(always)]
     pub fn begin(&mut self, shape: Shape, scratch: &mut Scratch) {
         self.look(shape, 1.0, 0.0);
@@ -140,7 +144,12 @@ impl Frame {
                 out[x] = ln(seen[x]);
             }
         }
-        scratch.surface.weighted_normals(shape, &self.seen, &self.edge_weight, &mut self.initial_normals);
+        scratch.surface.weighted_normals(
+            shape,
+            &self.seen,
+            &self.edge_weight,
+            &mut self.initial_normals,
+        );
         for plane in &mut self.moments {
             plane.fill(0.0);
         }
@@ -148,7 +157,8 @@ impl Frame {
         self.scatter.fill(0.0);
     }
 
-    /// The weighted loss of the frame's own terms before the step, and the step; clears `scatter` for the next one.
+    /// The weighted loss of the frame's own terms before the step, and the step; clears `scatter`
+    /// for the next one.
     #[inline(always)]
     pub fn step(&mut self, step: &Step<'_>, scratch: &mut Scratch) -> f64 {
         let Step { shape, weights, .. } = *step;
@@ -158,7 +168,10 @@ impl Frame {
 
         let mut total = 0.0;
         for y in 0..h {
-            let (seen, initial) = (&self.seen[shape.tap_row(y)..][..w], &self.log_initial[y * shape.stride..][..w]);
+            let (seen, initial) = (
+                &self.seen[shape.tap_row(y)..][..w],
+                &self.log_initial[y * shape.stride..][..w],
+            );
             let off = &mut scratch.off[y * shape.stride..][..w];
             for x in 0..w {
                 off[x] = initial[x] - ln(seen[x]);
@@ -192,7 +205,10 @@ impl Frame {
             );
         }
         let by_normal = weights.normal / all;
-        loss += by_normal * scratch.surface.normal_term(shape, &self.seen, &self.initial_normals);
+        loss += by_normal
+            * scratch
+                .surface
+                .normal_term(shape, &self.seen, &self.initial_normals);
         self.advance(step, by_normal as f32, scratch);
         loss
     }
@@ -226,7 +242,12 @@ impl Frame {
                 gradient[x] = if (LOW..=HIGH).contains(&raw) { g } else { 0.0 };
             }
             match step.moves {
-                Moves::Pixels => rate.row(disparity, &mut md[row.clone()], &mut vd[row.clone()], gradient),
+                Moves::Pixels => rate.row(
+                    disparity,
+                    &mut md[row.clone()],
+                    &mut vd[row.clone()],
+                    gradient,
+                ),
                 Moves::Affine => {
                     affine[1] += sum(gradient);
                     for x in 0..w {
@@ -280,7 +301,11 @@ impl Rate {
     pub fn new(learning_rate: f64, step: usize, epsilon: f64) -> Self {
         let step = i32::try_from(step).unwrap_or(i32::MAX);
         let [first, second] = DECAY.map(|beta| 1.0 - beta.powi(step));
-        Self { rate: learning_rate / first, root: 1.0 / second.sqrt(), epsilon }
+        Self {
+            rate: learning_rate / first,
+            root: 1.0 / second.sqrt(),
+            epsilon,
+        }
     }
 
     /// One variable in double precision.

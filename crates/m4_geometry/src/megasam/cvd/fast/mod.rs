@@ -5,9 +5,9 @@
 //!        all frames:        frame (shape terms, sum, Adam) -> disparity and u, moved
 //! ```
 //!
-//! Sources of a round share no target, rounds follow one another, a frame is one task, and sums are added in order: the bits
-//! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 per frame; nothing grows with the
-//! number of pairs.
+//! Sources of a round share no target, rounds follow one another, a frame is one task, and sums are
+//! added in order: the bits do not depend on the number of threads. Beside the flow, memory is 16
+//! planes of f32 per frame; nothing grows with the number of pairs.
 
 mod edges;
 mod frame;
@@ -70,7 +70,8 @@ pub(super) struct Report {
 }
 
 impl<'a> Descent<'a> {
-    /// `lenses` project points and give the rays of normals. The caller has checked that everything fits together.
+    /// `lenses` project points and give the rays of normals. The caller has checked that everything
+    /// fits together.
     pub fn new(
         level: SimdLevel,
         [lens, normal_lens]: [Pinhole<f64>; 2],
@@ -84,9 +85,17 @@ impl<'a> Descent<'a> {
         Self {
             level,
             shape,
-            scratch: Pool { shape, normal_lens, free: Mutex::default() },
+            scratch: Pool {
+                shape,
+                normal_lens,
+                free: Mutex::default(),
+            },
             pairs,
-            motions: pairs.pairs().iter().map(|&p| Motion::new(&lens, w2c, p)).collect(),
+            motions: pairs
+                .pairs()
+                .iter()
+                .map(|&p| Motion::new(&lens, w2c, p))
+                .collect(),
             rounds: rounds(w2c.len(), pairs.pairs()),
             frames: starts.par_iter().map(frame).collect(),
         }
@@ -123,9 +132,14 @@ impl<'a> Descent<'a> {
         let losses: Vec<f64> = self
             .frames
             .par_iter_mut()
-            .map(|frame| scratch.lend(|scratch| dispatch!(level.level(), _s => frame.step(&step, scratch))))
+            .map(|frame| {
+                scratch.lend(|scratch| dispatch!(level.level(), _s => frame.step(&step, scratch)))
+            })
             .collect();
-        Ok(Report { loss: pair_scale * sums.loss + losses.iter().sum::<f64>(), count: sums.count })
+        Ok(Report {
+            loss: pair_scale * sums.loss + losses.iter().sum::<f64>(),
+            count: sums.count,
+        })
     }
 
     /// The terms of the pairs, round by round.
@@ -137,9 +151,18 @@ impl<'a> Descent<'a> {
             let mut work: Vec<Work<'_>> = Vec::with_capacity(round.len());
             for task in round {
                 let frame = &mut self.frames[task.source];
-                let own = [std::mem::take(&mut frame.by_disparity), std::mem::take(&mut frame.by_uncertainty)];
-                let target = |&k: &usize| std::mem::take(&mut self.frames[self.pairs.pairs()[k].target].scatter);
-                work.push(Work { task, own, targets: task.pairs.iter().map(target).collect() });
+                let own = [
+                    std::mem::take(&mut frame.by_disparity),
+                    std::mem::take(&mut frame.by_uncertainty),
+                ];
+                let target = |&k: &usize| {
+                    std::mem::take(&mut self.frames[self.pairs.pairs()[k].target].scatter)
+                };
+                work.push(Work {
+                    task,
+                    own,
+                    targets: task.pairs.iter().map(target).collect(),
+                });
             }
             let (frames, motions, pairs) = (&self.frames, &self.motions, self.pairs);
             let sums: Vec<Result<Sums, PairError>> = work
@@ -185,10 +208,15 @@ impl<'a> Descent<'a> {
         Ok(total)
     }
 
-    /// Puts the disparity of all frames, `[frames][height][width]`, somewhere else than where the stage began.
+    /// Puts the disparity of all frames, `[frames][height][width]`, somewhere else than where the
+    /// stage began.
     #[cfg(test)]
     pub fn place(&mut self, disparity: &[f32]) {
-        for (frame, d) in self.frames.iter_mut().zip(disparity.chunks_exact(self.shape.pixels())) {
+        for (frame, d) in self
+            .frames
+            .iter_mut()
+            .zip(disparity.chunks_exact(self.shape.pixels()))
+        {
             frame.disparity = self.shape.spread(d, 1.0);
             frame.look(self.shape, 1.0, 0.0);
         }
@@ -197,17 +225,26 @@ impl<'a> Descent<'a> {
     /// Ends stage 1: scale and shift of each frame, which become part of its disparity.
     pub fn settle(&mut self) -> Vec<(f64, f64)> {
         self.frames.par_iter_mut().for_each(Frame::settle);
-        self.frames.iter().map(|f| (f.log_scale.exp(), f.shift)).collect()
+        self.frames
+            .iter()
+            .map(|f| (f.log_scale.exp(), f.shift))
+            .collect()
     }
 
     /// The disparity of each frame, `[height][width]`, not clamped.
     pub fn disparity(&self) -> Vec<Vec<f32>> {
-        self.frames.iter().map(|f| self.shape.gather(&f.disparity)).collect()
+        self.frames
+            .iter()
+            .map(|f| self.shape.gather(&f.disparity))
+            .collect()
     }
 
     /// u of each frame, `[height][width]`, not clamped.
     pub fn uncertainty(&self) -> Vec<Vec<f32>> {
-        self.frames.iter().map(|f| self.shape.gather(&f.uncertainty)).collect()
+        self.frames
+            .iter()
+            .map(|f| self.shape.gather(&f.uncertainty))
+            .collect()
     }
 }
 
@@ -228,17 +265,24 @@ pub(super) struct Task {
     pub pairs: Vec<usize>,
 }
 
-/// Rounds of tasks. Tasks of a round share no target, so each may add to its targets' gradients without waiting;
-/// rounds follow one another, so every sum has one order on any number of threads.
+/// Rounds of tasks. Tasks of a round share no target, so each may add to its targets' gradients
+/// without waiting; rounds follow one another, so every sum has one order on any number of threads.
 pub(super) fn rounds(frames: usize, pairs: &[FramePair]) -> Vec<Vec<Task>> {
-    let mut tasks: Vec<Task> = (0..frames).map(|source| Task { source, pairs: Vec::new() }).collect();
+    let mut tasks: Vec<Task> = (0..frames)
+        .map(|source| Task {
+            source,
+            pairs: Vec::new(),
+        })
+        .collect();
     for (index, pair) in pairs.iter().enumerate() {
         tasks[pair.source].pairs.push(index);
     }
     let mut rounds: Vec<(Vec<Task>, HashSet<usize>)> = Vec::new();
     for task in tasks.into_iter().filter(|t| !t.pairs.is_empty()) {
         let targets: Vec<usize> = task.pairs.iter().map(|&k| pairs[k].target).collect();
-        let free = rounds.iter_mut().find(|(_, taken)| targets.iter().all(|t| !taken.contains(t)));
+        let free = rounds
+            .iter_mut()
+            .find(|(_, taken)| targets.iter().all(|t| !taken.contains(t)));
         match free {
             Some((tasks, taken)) => {
                 tasks.push(task);
@@ -300,7 +344,13 @@ mod tests {
     #[test]
     fn every_pair_is_in_one_round_and_rounds_share_no_target() {
         let mut pairs = pair_list(60);
-        let back: Vec<FramePair> = pairs.iter().map(|p| FramePair { source: p.target, target: p.source }).collect();
+        let back: Vec<FramePair> = pairs
+            .iter()
+            .map(|p| FramePair {
+                source: p.target,
+                target: p.source,
+            })
+            .collect();
         for both in [false, true] {
             if both {
                 pairs.extend(&back);
@@ -317,7 +367,11 @@ mod tests {
                 }
             }
             assert_eq!(seen.len(), pairs.len());
-            assert!(rounds.len() <= if both { 30 } else { 8 }, "{} rounds", rounds.len());
+            assert!(
+                rounds.len() <= if both { 30 } else { 8 },
+                "{} rounds",
+                rounds.len()
+            );
         }
     }
 
@@ -326,7 +380,10 @@ mod tests {
         for k in 0..200_000 {
             let x = 1e-4 * 1.000_12f64.powi(k % 150_000) as f32;
             let want = f64::from(x).ln();
-            assert!((f64::from(ln(x)) - want).abs() <= 2e-7 * want.abs().max(0.5), "ln {x}");
+            assert!(
+                (f64::from(ln(x)) - want).abs() <= 2e-7 * want.abs().max(0.5),
+                "ln {x}"
+            );
             let y = -60.0 * k as f32 / 200_000.0;
             let want = f64::from(y).exp();
             assert!((f64::from(exp(y)) - want).abs() <= 5e-7 * want, "exp {y}");

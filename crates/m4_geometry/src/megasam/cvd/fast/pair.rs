@@ -1,8 +1,10 @@
-//! The ratio and the flow term of all pairs of one source: loss, gradients, and what is added to the targets'.
+//! The ratio and the flow term of all pairs of one source: loss, gradients, and what is added to
+//! the targets'.
 //!
-//! Row by row of the source, so that its own sums stay in the first-level cache; for each pair the row passes through
-//! four short loops: reproject, read four taps, compare, add to four taps. The definition is `reference::pair_losses`; sums
-//! here lack the division by the number of pixels that count, which is known when all tasks are through.
+//! Row by row of the source, so that its own sums stay in the first-level cache; for each pair the
+//! row passes through four short loops: reproject, read four taps, compare, add to four taps. The
+//! definition is `reference::pair_losses`; sums here lack the division by the number of pixels that
+//! count, which is known when all tasks are through.
 
 use super::ln;
 use super::shape::{Motion, Shape};
@@ -103,7 +105,16 @@ pub(super) fn source<S: Simd>(
         }
         for pair in &mut *pairs {
             let codes = &pair.flow.codes[2 * plain.start..2 * plain.end];
-            reproject(s, shape, y, pair.flow.unit_px, codes, &pair.motion, w_flow, rows);
+            reproject(
+                s,
+                shape,
+                y,
+                pair.flow.unit_px,
+                codes,
+                &pair.motion,
+                w_flow,
+                rows,
+            );
             read(shape.tap_stride, pair.seen, rows);
             compare(s, &pair.motion, y, w_ratio, uncertainty, rows);
             add(shape.tap_stride, pair.scatter, rows);
@@ -136,13 +147,20 @@ fn finish(
         by_uncertainty[x] = errors[x] - log_weight * count[x] / uncertainty[x];
     }
     for at in (0..n).step_by(LANES) {
-        let (u, error, count) = (&uncertainty[at..at + LANES], &errors[at..at + LANES], &count[at..at + LANES]);
+        let (u, error, count) = (
+            &uncertainty[at..at + LANES],
+            &errors[at..at + LANES],
+            &count[at..at + LANES],
+        );
         for k in 0..LANES {
             losses[k] += u[k] * error[k] - log_weight * count[k] * ln(u[k]);
             counts[k] += count[k];
         }
     }
-    Sums { loss: losses.iter().map(|&l| f64::from(l)).sum(), count: counts.iter().map(|&c| f64::from(c)).sum() }
+    Sums {
+        loss: losses.iter().map(|&l| f64::from(l)).sum(),
+        count: counts.iter().map(|&c| f64::from(c)).sum(),
+    }
 }
 
 /// Where the row lands: the flow term, and indices and weights of the taps.
@@ -163,10 +181,14 @@ fn reproject<S: Simd>(
     let base = motion.turn.map(|r| all(r[1] * y + r[2]));
     let along = motion.turn.map(|r| all(r[0]));
     let shift = motion.shift.map(all);
-    let lanes: f32x16<S> = f32x16::from_slice(s, &std::array::from_fn::<f32, LANES, _>(|k| k as f32));
+    let lanes: f32x16<S> =
+        f32x16::from_slice(s, &std::array::from_fn::<f32, LANES, _>(|k| k as f32));
     let (width, height) = (all(shape.width as f32), all(shape.height as f32));
     let (unit, half) = (all(unit_px), all(w_flow));
-    let (tap_stride, origin) = (i32x16::splat(s, shape.tap_stride as i32), i32x16::splat(s, shape.origin() as i32));
+    let (tap_stride, origin) = (
+        i32x16::splat(s, shape.tap_stride as i32),
+        i32x16::splat(s, shape.origin() as i32),
+    );
     let (xs, ys) = codes.split_at(shape.stride);
     for at in (0..shape.stride).step_by(LANES) {
         let (mut cx, mut cy, mut counts) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
@@ -178,15 +200,27 @@ fn reproject<S: Simd>(
         }
         let x = lanes + all(at as f32);
         let depth = f32x16::from_slice(s, &rows.depth[at..at + LANES]);
-        let turned = [along[0].mul_add(x, base[0]), along[1].mul_add(x, base[1]), along[2].mul_add(x, base[2])];
+        let turned = [
+            along[0].mul_add(x, base[0]),
+            along[1].mul_add(x, base[1]),
+            along[2].mul_add(x, base[2]),
+        ];
         let z = turned[2].mul_add(depth, shift[2]);
-        let counts = z.simd_gt(all(0.1)).select(f32x16::from_slice(s, &counts), zero);
+        let counts = z
+            .simd_gt(all(0.1))
+            .select(f32x16::from_slice(s, &counts), zero);
         // where it does not count z may be anything, and must not make infinities
         let z = counts.simd_gt(zero).select(z, one);
         let far = z.simd_gt(all(1e3));
         let inverse = one / far.select(all(1e3), z);
-        let (u, v) = (turned[0].mul_add(depth, shift[0]) * inverse, turned[1].mul_add(depth, shift[1]) * inverse);
-        let (qx, qy) = (f32x16::from_slice(s, &cx).mul_add(unit, x), f32x16::from_slice(s, &cy).mul_add(unit, all(y)));
+        let (u, v) = (
+            turned[0].mul_add(depth, shift[0]) * inverse,
+            turned[1].mul_add(depth, shift[1]) * inverse,
+        );
+        let (qx, qy) = (
+            f32x16::from_slice(s, &cx).mul_add(unit, x),
+            f32x16::from_slice(s, &cy).mul_add(unit, all(y)),
+        );
         let (ex, ey) = (u - qx, v - qy);
         let (sx, sy) = (sign(s, ex), sign(s, ey));
         let fall = far.select(zero, turned[2]);
@@ -235,12 +269,20 @@ fn read(tap_stride: usize, seen: &[f32], rows: &mut Rows) {
 
 /// The ratio term; `sampled` becomes the gradient with respect to it.
 #[inline(always)]
-fn compare<S: Simd>(s: S, motion: &Motion, y: usize, w_ratio: f32, uncertainty: &[f32], rows: &mut Rows) {
+fn compare<S: Simd>(
+    s: S,
+    motion: &Motion,
+    y: usize,
+    w_ratio: f32,
+    uncertainty: &[f32],
+    rows: &mut Rows,
+) {
     let all = |v: f32| f32x16::splat(s, v);
     let (zero, one) = (all(0.0), all(1.0));
     let [a, b, c] = motion.turn[2];
     let (along, base) = (all(a), all(b * y as f32 + c));
-    let lanes: f32x16<S> = f32x16::from_slice(s, &std::array::from_fn::<f32, LANES, _>(|k| k as f32));
+    let lanes: f32x16<S> =
+        f32x16::from_slice(s, &std::array::from_fn::<f32, LANES, _>(|k| k as f32));
     let (least, most, weight) = (all(1e-3), all(1e2), all(w_ratio));
     for at in (0..rows.index.len()).step_by(LANES) {
         let load = |row: &[f32]| f32x16::from_slice(s, &row[at..at + LANES]);
@@ -271,8 +313,9 @@ fn compare<S: Simd>(s: S, motion: &Motion, y: usize, w_ratio: f32, uncertainty: 
 
 /// Adds to the four taps of each pixel.
 ///
-/// Neighbours mostly land side by side, where the right taps of one are the left taps of the next: those are carried in
-/// registers. Storing a pair of taps and loading a pair that overlaps it would stall every pixel.
+/// Neighbours mostly land side by side, where the right taps of one are the left taps of the next:
+/// those are carried in registers. Storing a pair of taps and loading a pair that overlaps it would
+/// stall every pixel.
 #[inline(always)]
 fn add(tap_stride: usize, scatter: &mut [f32], rows: &Rows) {
     let n = rows.index.len();

@@ -8,9 +8,9 @@ use m4_core::{Se3, nalgebra::Matrix3};
 /// Columns left of the image in a bordered plane; what is right of it is at least as wide.
 const LEFT: usize = 8;
 
-/// Two layouts of a frame. *Plain* planes are `[height][stride]`, the stride a multiple of the vectors' 16 lanes.
-/// *Bordered* planes have zeros around the image, so that four taps can be read, and added to, anywhere from one pixel
-/// outside without asking where they are.
+/// Two layouts of a frame. *Plain* planes are `[height][stride]`, the stride a multiple of the
+/// vectors' 16 lanes. *Bordered* planes have zeros around the image, so that four taps can be read,
+/// and added to, anywhere from one pixel outside without asking where they are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Shape {
     pub width: usize,
@@ -24,7 +24,12 @@ pub(super) struct Shape {
 impl Shape {
     pub fn new(width: usize, height: usize) -> Self {
         let stride = crate::megasam::cvd::pairs::stride(width);
-        Self { width, height, stride, tap_stride: stride + 2 * LEFT }
+        Self {
+            width,
+            height,
+            stride,
+            tap_stride: stride + 2 * LEFT,
+        }
     }
 
     pub fn pixels(&self) -> usize {
@@ -52,7 +57,10 @@ impl Shape {
     /// `[height][width]` as a plain plane, the filling with `fill`.
     pub fn spread(&self, plane: &[f32], fill: f32) -> Vec<f32> {
         let mut out = vec![fill; self.plain()];
-        for (out, row) in out.chunks_exact_mut(self.stride).zip(plane.chunks_exact(self.width)) {
+        for (out, row) in out
+            .chunks_exact_mut(self.stride)
+            .zip(plane.chunks_exact(self.width))
+        {
             out[..self.width].copy_from_slice(row);
         }
         out
@@ -65,7 +73,8 @@ impl Shape {
     }
 }
 
-/// Where a pixel of a pair's source lands in its target, before the division: `turn (x, y, 1) / disparity + shift`.
+/// Where a pixel of a pair's source lands in its target, before the division:
+/// `turn (x, y, 1) / disparity + shift`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Motion {
     /// `K R K^-1`, row by row.

@@ -1,4 +1,5 @@
-//! Normals of smoothed depth, and the gradient of the normal term, row by row. The definition is `reference::normal_loss`.
+//! Normals of smoothed depth, and the gradient of the normal term, row by row. The definition is
+//! `reference::normal_loss`.
 
 use super::shape::Shape;
 use crate::dba::Pinhole;
@@ -11,7 +12,8 @@ pub(super) struct Scratch {
     /// Depth, blurred along rows and then along columns, plain; on the way back its gradient.
     smooth: Vec<f32>,
     along_rows: Vec<f32>,
-    /// Gradients of points, `[height + 2][width + 2]` each: the replicated border is folded in at the end.
+    /// Gradients of points, `[height + 2][width + 2]` each: the replicated border is folded in at
+    /// the end.
     points: [Vec<f32>; 3],
     /// `x / z` of rays, one a column and its border.
     ray_x: Vec<f32>,
@@ -64,7 +66,8 @@ impl Scratch {
             }
         }
         for y in 0..h {
-            let row = |dy: isize| &self.along_rows[reflect(y as isize + dy, h) * shape.stride..][..w];
+            let row =
+                |dy: isize| &self.along_rows[reflect(y as isize + dy, h) * shape.stride..][..w];
             let [a, b, c, d, e] = [row(-2), row(-1), row(0), row(1), row(2)];
             let out = &mut self.smooth[y * shape.stride..][..w];
             for x in 0..w {
@@ -97,10 +100,26 @@ impl Scratch {
             row[0] = row[1];
             row[w + 1] = row[w];
         }
-        let ([la, lm, lb], [sa, _, sb], [ya, _, yb]) =
-            (shifted3(&self.ray_x, w), shifted3(sum_z, w), shifted3(sum_y, w));
+        let ([la, lm, lb], [sa, _, sb], [ya, _, yb]) = (
+            shifted3(&self.ray_x, w),
+            shifted3(sum_z, w),
+            shifted3(sum_y, w),
+        );
         let ([fa, fm, fb], [ga, gm, gb]) = (shifted3(fall_z, w), shifted3(fall_y, w));
-        slope_rows(la, lm, lb, sa, sb, fa, fm, fb, &mut x0[..w], &mut x2[..w], &mut y0[..w], &mut y2[..w]);
+        slope_rows(
+            la,
+            lm,
+            lb,
+            sa,
+            sb,
+            fa,
+            fm,
+            fb,
+            &mut x0[..w],
+            &mut x2[..w],
+            &mut y0[..w],
+            &mut y2[..w],
+        );
         let (x1, y1) = (&mut x1[..w], &mut y1[..w]);
         for x in 0..w {
             x1[x] = 0.125 * (yb[x] - ya[x]);
@@ -110,7 +129,13 @@ impl Scratch {
 
     /// The unit normals of a bordered plane of disparity times `weight` (plain), as plain planes.
     #[inline(always)]
-    pub fn weighted_normals(&mut self, shape: Shape, seen: &[f32], weight: &[f32], out: &mut [Vec<f32>; 3]) {
+    pub fn weighted_normals(
+        &mut self,
+        shape: Shape,
+        seen: &[f32],
+        weight: &[f32],
+        out: &mut [Vec<f32>; 3],
+    ) {
         self.blur(shape, seen);
         let w = shape.width;
         for y in 0..shape.height {
@@ -126,8 +151,8 @@ impl Scratch {
         }
     }
 
-    /// The sum of `weight (1 - n . n_initial)` over the frame, given `weight n_initial`; leaves the gradient with respect to
-    /// depth in the plane that [`Self::by_depth`] reads.
+    /// The sum of `weight (1 - n . n_initial)` over the frame, given `weight n_initial`; leaves the
+    /// gradient with respect to depth in the plane that [`Self::by_depth`] reads.
     #[inline(always)]
     pub fn normal_term(&mut self, shape: Shape, seen: &[f32], wanted: &[Vec<f32>; 3]) -> f64 {
         self.blur(shape, seen);
@@ -179,7 +204,8 @@ impl Scratch {
         }
     }
 
-    /// Borders into the pixels that they repeat, points into depth along their rays, and the blur backwards.
+    /// Borders into the pixels that they repeat, points into depth along their rays, and the blur
+    /// backwards.
     #[inline(always)]
     fn fold(&mut self, shape: Shape) {
         let (w, h, k) = (shape.width, shape.height, blur_weights().map(|k| k as f32));
@@ -196,7 +222,10 @@ impl Scratch {
         }
         self.along_rows.fill(0.0);
         for y in 0..h {
-            let [px, py, pz] = self.points.each_ref().map(|p| &p[(y + 1) * stride + 1..][..w]);
+            let [px, py, pz] = self
+                .points
+                .each_ref()
+                .map(|p| &p[(y + 1) * stride + 1..][..w]);
             let (rx, ry) = (&self.ray_x[1..=w], self.ray_y[y + 1]);
             let along = &mut self.smooth[y * shape.stride..][..w];
             for x in 0..w {
@@ -231,7 +260,13 @@ impl Scratch {
 /// A row of `w + 4` as five rows of `w`.
 #[inline(always)]
 fn shifted5(row: &[f32], w: usize) -> [&[f32]; 5] {
-    [&row[..w], &row[1..w + 1], &row[2..w + 2], &row[3..w + 3], &row[4..w + 4]]
+    [
+        &row[..w],
+        &row[1..w + 1],
+        &row[2..w + 2],
+        &row[3..w + 3],
+        &row[4..w + 4],
+    ]
 }
 
 /// A row of `w + 2` as three rows of `w`.
@@ -240,8 +275,9 @@ fn shifted3(row: &[f32], w: usize) -> [&[f32]; 3] {
     [&row[..w], &row[1..w + 1], &row[2..w + 2]]
 }
 
-/// The Sobel gradients of x and z of points from sums (s) and differences (f) of three rows of depth and the rays (l). Like
-/// [`normal_row`] a function of its own so that the compiler knows that no slices overlap, which it needs for vectors.
+/// The Sobel gradients of x and z of points from sums (s) and differences (f) of three rows of
+/// depth and the rays (l). Like [`normal_row`] a function of its own so that the compiler knows
+/// that no slices overlap, which it needs for vectors.
 #[inline(always)]
 fn slope_rows(
     la: &[f32],
@@ -269,7 +305,8 @@ fn slope_rows(
     }
 }
 
-/// Slopes along x (a) and y (b) become the gradients with respect to them; n is the wanted normal times its weight.
+/// Slopes along x (a) and y (b) become the gradients with respect to them; n is the wanted normal
+/// times its weight.
 #[inline(always)]
 fn normal_row(
     a0: &mut [f32],
@@ -316,7 +353,11 @@ fn add_scaled(out: &mut [f32], row: &[f32], factor: f32) {
 
 #[inline(always)]
 fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 /// At least 1e-12, as the definition has it.

@@ -1,7 +1,8 @@
-//! The loss, its gradients term by term, and the descent in two stages, in any precision: the definition that the fast path agrees
-//! with.
+//! The loss, its gradients term by term, and the descent in two stages, in any precision: the
+//! definition that the fast path agrees with.
 //!
-//! Arrays of pixels are `[frames][height][width]`, flat. Poses are `w2c`, pixel centres are whole numbers.
+//! Arrays of pixels are `[frames][height][width]`, flat. Poses are `w2c`, pixel centres are whole
+//! numbers.
 
 mod terms;
 
@@ -33,7 +34,8 @@ pub struct Problem<T: Real> {
     pub pairs: Vec<Pair<T>>,
     /// `[frames][height][width]`: the disparity to keep the shape of.
     pub initial: Vec<T>,
-    /// `[frames][height][width]`: weight of the normal term, [`edge_weight`] of the very first disparity.
+    /// `[frames][height][width]`: weight of the normal term, [`edge_weight`] of the very first
+    /// disparity.
     pub edge_weight: Vec<T>,
 }
 
@@ -50,7 +52,11 @@ pub struct Term<T> {
 
 impl<T: Real> Term<T> {
     fn zero(len: usize) -> Self {
-        Self { value: T::zero(), disparity: vec![T::zero(); len], uncertainty: vec![T::zero(); len] }
+        Self {
+            value: T::zero(),
+            disparity: vec![T::zero(); len],
+            uncertainty: vec![T::zero(); len],
+        }
     }
 
     fn add(&mut self, weight: f64, other: &Self) {
@@ -79,7 +85,10 @@ impl<T: Real> Problem<T> {
         let [ratio, flow] = pair_losses(self, disparity, uncertainty);
         total.add(weights.ratio, &ratio);
         total.add(weights.flow, &flow);
-        total.add(weights.scale_invariant, &scale_invariant_loss(self, disparity));
+        total.add(
+            weights.scale_invariant,
+            &scale_invariant_loss(self, disparity),
+        );
         total.add(weights.gradient, &gradient_loss(self, disparity));
         total.add(weights.normal, &normal_loss(self, disparity));
         total
@@ -110,12 +119,14 @@ fn sign<T: Real>(x: T) -> T {
 /// Every which pixel, for each scale. MegaSaM: four scales.
 pub(super) const INTERVALS: [usize; 4] = [1, 2, 4, 8];
 
-/// How much the central differences of `log(initial) - log(disparity)` are, at four scales (each a nearest-exact
-/// subsampling): the sum over both directions and all scales of the mean of `weight |difference|`.
+/// How much the central differences of `log(initial) - log(disparity)` are, at four scales (each a
+/// nearest-exact subsampling): the sum over both directions and all scales of the mean of
+/// `weight |difference|`.
 ///
-/// The weight, a constant for the gradient, is `1 - exp(-5 |G(initial) - G(disparity)|)` where the disparity is above 1 and
-/// 0 elsewhere; G is the sum of the absolute central differences of the logarithm. So it acts on what is near, where
-/// shapes differ. A scale at which an image has less than three pixels a side is left out.
+/// The weight, a constant for the gradient, is `1 - exp(-5 |G(initial) - G(disparity)|)` where the
+/// disparity is above 1 and 0 elsewhere; G is the sum of the absolute central differences of the
+/// logarithm. So it acts on what is near, where shapes differ. A scale at which an image has less
+/// than three pixels a side is left out.
 #[must_use]
 pub fn gradient_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
     let (width, n) = (problem.width, problem.width * problem.height);
@@ -127,8 +138,9 @@ pub fn gradient_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> 
         }
         let count = T::of((problem.frames() * (w - 2) * (h - 2)) as f64);
         for frame in 0..problem.frames() {
-            let at =
-                |x: usize, y: usize| frame * n + (y * interval + interval / 2) * width + x * interval + interval / 2;
+            let at = |x: usize, y: usize| {
+                frame * n + (y * interval + interval / 2) * width + x * interval + interval / 2
+            };
             for y in 1..h - 1 {
                 for x in 1..w - 1 {
                     if disparity[at(x, y)] <= T::one() {
@@ -190,7 +202,11 @@ impl<T: Real> Adam<T> {
     /// Nothing seen yet.
     #[must_use]
     pub fn new(len: usize) -> Self {
-        Self { m: vec![T::zero(); len], v: vec![T::zero(); len], steps: 0 }
+        Self {
+            m: vec![T::zero(); len],
+            v: vec![T::zero(); len],
+            steps: 0,
+        }
     }
 
     /// One step; what is not a number in `gradient` counts as 0.
@@ -201,7 +217,11 @@ impl<T: Real> Adam<T> {
         let root = T::of(second.sqrt());
         let [b1, b2] = DECAY.map(T::of);
         for i in 0..x.len() {
-            let g = if gradient[i].f64().is_nan() { T::zero() } else { gradient[i] };
+            let g = if gradient[i].f64().is_nan() {
+                T::zero()
+            } else {
+                gradient[i]
+            };
             self.m[i] = b1 * self.m[i] + (T::one() - b1) * g;
             self.v[i] = b2 * self.v[i] + (T::one() - b2) * g * g;
             x[i] -= rate * self.m[i] / (self.v[i].sqrt() / root + T::of(ADAM_EPSILON));
@@ -224,10 +244,14 @@ pub struct Trajectory<T> {
     pub losses: [Vec<T>; 2],
 }
 
-/// The disparity that the first stage looks at: `initial e^log_scale + shift` of each frame, inside its limits.
+/// The disparity that the first stage looks at: `initial e^log_scale + shift` of each frame, inside
+/// its limits.
 #[must_use]
 pub fn seen_disparity<T: Real>(initial: &[T], log_scale: &[T], shift: &[T]) -> Vec<T> {
-    affine(initial, log_scale, shift).into_iter().map(|d| clamp(d, DISPARITY)).collect()
+    affine(initial, log_scale, shift)
+        .into_iter()
+        .map(|d| clamp(d, DISPARITY))
+        .collect()
 }
 
 fn affine<T: Real>(initial: &[T], log_scale: &[T], shift: &[T]) -> Vec<T> {
@@ -236,14 +260,20 @@ fn affine<T: Real>(initial: &[T], log_scale: &[T], shift: &[T]) -> Vec<T> {
     initial.iter().enumerate().map(at).collect()
 }
 
-/// `steps` of both stages from `problem.initial` and `uncertainty`, which are taken in the unit that they have.
-/// `problem.edge_weight` and the limits of `problem.initial` are set here.
+/// `steps` of both stages from `problem.initial` and `uncertainty`, which are taken in the unit
+/// that they have. `problem.edge_weight` and the limits of `problem.initial` are set here.
 #[must_use]
-pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 2]) -> Trajectory<T> {
+pub fn descend<T: Real>(
+    problem: &Problem<T>,
+    uncertainty: &[T],
+    steps: [usize; 2],
+) -> Trajectory<T> {
     let mut problem = problem.clone();
     let (frames, n) = (problem.frames(), problem.width * problem.height);
     let start = problem.initial.clone();
-    let weights = start.chunks_exact(n).map(|d| edge_weight(problem.width, problem.height, d));
+    let weights = start
+        .chunks_exact(n)
+        .map(|d| edge_weight(problem.width, problem.height, d));
     problem.edge_weight = weights.flatten().collect();
     problem.initial = start.iter().map(|&d| clamp(d, DISPARITY)).collect();
     let mut out = Trajectory {
@@ -257,7 +287,11 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 
     for _ in 0..steps[0] {
         let raw = affine(&start, &out.log_scale, &out.shift);
         let seen = seen_disparity(&start, &out.log_scale, &out.shift);
-        let u: Vec<T> = out.uncertainty.iter().map(|&u| clamp(u, UNCERTAINTY)).collect();
+        let u: Vec<T> = out
+            .uncertainty
+            .iter()
+            .map(|&u| clamp(u, UNCERTAINTY))
+            .collect();
         let total = problem.total(&seen, &u, &WEIGHTS[0]);
         out.losses[0].push(total.value);
         let (mut scale, mut shift) = (vec![T::zero(); frames], vec![T::zero(); frames]);
@@ -273,12 +307,18 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 
         adam[2].step(&mut out.uncertainty, &gradient, LEARNING_RATE[0]);
     }
     out.disparity = affine(&start, &out.log_scale, &out.shift);
-    problem.initial =
-        affine(&problem.initial, &out.log_scale, &out.shift).into_iter().map(|d| clamp(d, DISPARITY)).collect();
+    problem.initial = affine(&problem.initial, &out.log_scale, &out.shift)
+        .into_iter()
+        .map(|d| clamp(d, DISPARITY))
+        .collect();
     let mut adam = [Adam::new(start.len()), Adam::new(start.len())];
     for _ in 0..steps[1] {
         let seen: Vec<T> = out.disparity.iter().map(|&d| clamp(d, DISPARITY)).collect();
-        let u: Vec<T> = out.uncertainty.iter().map(|&u| clamp(u, UNCERTAINTY)).collect();
+        let u: Vec<T> = out
+            .uncertainty
+            .iter()
+            .map(|&u| clamp(u, UNCERTAINTY))
+            .collect();
         let total = problem.total(&seen, &u, &WEIGHTS[1]);
         out.losses[1].push(total.value);
         let by_disparity = gated(&out.disparity, &total.disparity, DISPARITY);
@@ -292,5 +332,7 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], steps: [usize; 
 /// A gradient with 0 where the variable is past its limits.
 fn gated<T: Real>(x: &[T], gradient: &[T], limits: [f64; 2]) -> Vec<T> {
     let pairs = x.iter().zip(gradient);
-    pairs.map(|(&x, &g)| if within(x, limits) { g } else { T::zero() }).collect()
+    pairs
+        .map(|(&x, &g)| if within(x, limits) { g } else { T::zero() })
+        .collect()
 }

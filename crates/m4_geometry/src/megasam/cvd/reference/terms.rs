@@ -39,16 +39,26 @@ fn taps<T: Real>(width: usize, height: usize, x: T, y: T) -> [Option<(usize, T)>
         inside.then(|| (y as usize * width + x as usize, weight))
     };
     let one = T::one();
-    [tap(0, 0, (one - fx) * (one - fy)), tap(1, 0, fx * (one - fy)), tap(0, 1, (one - fx) * fy), tap(1, 1, fx * fy)]
+    [
+        tap(0, 0, (one - fx) * (one - fy)),
+        tap(1, 0, fx * (one - fy)),
+        tap(0, 1, (one - fx) * fy),
+        tap(1, 1, fx * fy),
+    ]
 }
 
-/// The ratio and the flow term: means over all pixels of all pairs that count and land in front of the camera.
+/// The ratio and the flow term: means over all pixels of all pairs that count and land in front of
+/// the camera.
 ///
-/// With `X = R K^-1 p / d_i(p) + t`, `d^ = 1 / X_z` and `d~ = d_j(q)` at `q = p + flow`: the ratio term is
-/// `u (max(d~/d^, d^/d~) - 1) + 0.25 log(1/u)`, the flow term the same of each component of `|K X / X_z - q|`.
-/// What is sampled outside the frame is 0, then 1e-3.
+/// With `X = R K^-1 p / d_i(p) + t`, `d^ = 1 / X_z` and `d~ = d_j(q)` at `q = p + flow`: the ratio
+/// term is `u (max(d~/d^, d^/d~) - 1) + 0.25 log(1/u)`, the flow term the same of each component of
+/// `|K X / X_z - q|`. What is sampled outside the frame is 0, then 1e-3.
 #[must_use]
-pub fn pair_losses<T: Real>(problem: &Problem<T>, disparity: &[T], uncertainty: &[T]) -> [Term<T>; 2] {
+pub fn pair_losses<T: Real>(
+    problem: &Problem<T>,
+    disparity: &[T],
+    uncertainty: &[T],
+) -> [Term<T>; 2] {
     let (w, h, lens) = (problem.width, problem.height, &problem.lens);
     let n = w * h;
     let [mut ratio, mut flow] = [Term::zero(disparity.len()), Term::zero(disparity.len())];
@@ -69,16 +79,27 @@ pub fn pair_losses<T: Real>(problem: &Problem<T>, disparity: &[T], uncertainty: 
                 continue;
             }
             count += T::one();
-            let depth_gradient = if within(d, DISPARITY) { -depth * depth } else { T::zero() };
+            let depth_gradient = if within(d, DISPARITY) {
+                -depth * depth
+            } else {
+                T::zero()
+            };
             let log_term = log_weight * (T::one() / u).ln();
 
             // where it lands
             let divisor = clamp(x.z, DIVISOR);
             let (qx, qy) = (px + pair.x[p], py + pair.y[p]);
-            let image = [(lens.fx * x.x + lens.cx * x.z) / divisor, (lens.fy * x.y + lens.cy * x.z) / divisor];
+            let image = [
+                (lens.fx * x.x + lens.cx * x.z) / divisor,
+                (lens.fy * x.y + lens.cy * x.z) / divisor,
+            ];
             let slope = |focal: T, centre: T, turned_a: T, image_a: T| {
                 let direct = (focal * turned_a + centre * turned.z) / divisor;
-                let through_divisor = if within(x.z, DIVISOR) { image_a * turned.z / divisor } else { T::zero() };
+                let through_divisor = if within(x.z, DIVISOR) {
+                    image_a * turned.z / divisor
+                } else {
+                    T::zero()
+                };
                 direct - through_divisor
             };
             let (ex, ey) = (image[0] - qx, image[1] - qy);
@@ -93,7 +114,10 @@ pub fn pair_losses<T: Real>(problem: &Problem<T>, disparity: &[T], uncertainty: 
             let seen_depth = clamp(x.z, DEPTH);
             let reprojected = clamp(T::one() / seen_depth, COMPARED);
             let taps = taps(w, h, qx, qy);
-            let raw = taps.iter().flatten().fold(T::zero(), |s, &(i, k)| s + k * target[i]);
+            let raw = taps
+                .iter()
+                .flatten()
+                .fold(T::zero(), |s, &(i, k)| s + k * target[i]);
             let sampled = clamp(raw, COMPARED);
             let (up, down) = (sampled / reprojected, reprojected / sampled);
             let error = up.max(down) - T::one();
@@ -138,7 +162,8 @@ const BLUR_SD_PX: f64 = 2.0;
 
 /// The weights of the Gaussian.
 pub(in crate::megasam::cvd) fn blur_weights() -> [f64; 5] {
-    let raw = [-2.0f64, -1.0, 0.0, 1.0, 2.0].map(|x| (-x * x / (2.0 * BLUR_SD_PX * BLUR_SD_PX)).exp());
+    let raw =
+        [-2.0f64, -1.0, 0.0, 1.0, 2.0].map(|x| (-x * x / (2.0 * BLUR_SD_PX * BLUR_SD_PX)).exp());
     raw.map(|w| w / raw.iter().sum::<f64>())
 }
 
@@ -161,7 +186,11 @@ fn sobel(width: usize, height: usize, p: usize, along_x: bool) -> [(usize, f64);
     for k in 0..3 {
         for (side, out) in out[2 * k..2 * k + 2].iter_mut().enumerate() {
             let (across, along) = (k as isize - 1, 2 * side as isize - 1);
-            let (dx, dy) = if along_x { (along, across) } else { (across, along) };
+            let (dx, dy) = if along_x {
+                (along, across)
+            } else {
+                (across, along)
+            };
             let index = replicate(y + dy, height) * width + replicate(x + dx, width);
             *out = (index, along as f64 * [1.0, 2.0, 1.0][k] / 8.0);
         }
@@ -180,7 +209,10 @@ struct Surface<T: Real> {
 
 fn surface<T: Real>(width: usize, height: usize, lens: &Pinhole<T>, disparity: &[T]) -> Surface<T> {
     let n = width * height;
-    let depth: Vec<T> = disparity.iter().map(|&d| T::one() / clamp(d, DISPARITY)).collect();
+    let depth: Vec<T> = disparity
+        .iter()
+        .map(|&d| T::one() / clamp(d, DISPARITY))
+        .collect();
     let smooth = blur(width, height, &depth);
     let ray = |p: usize| {
         let (x, y) = (T::of((p % width) as f64), T::of((p / width) as f64));
@@ -191,12 +223,19 @@ fn surface<T: Real>(width: usize, height: usize, lens: &Pinhole<T>, disparity: &
     let along = [true, false].map(|along_x| {
         let at = |p| {
             let taps = sobel(width, height, p, along_x);
-            taps.into_iter().fold(Vector3::zeros(), |s: Vector3<T>, (i, k)| s + points[i] * T::of(k))
+            taps.into_iter()
+                .fold(Vector3::zeros(), |s: Vector3<T>, (i, k)| {
+                    s + points[i] * T::of(k)
+                })
         };
         (0..n).map(at).collect::<Vec<_>>()
     });
     let normals = (0..n).map(|p| along[0][p].cross(&along[1][p])).collect();
-    Surface { rays, along, normals }
+    Surface {
+        rays,
+        along,
+        normals,
+    }
 }
 
 /// The taps of the Gaussian at a pixel.
@@ -204,7 +243,8 @@ fn blur_taps(width: usize, height: usize, p: usize) -> impl Iterator<Item = (usi
     let (x, y, weights) = ((p % width) as isize, (p / width) as isize, blur_weights());
     (0..25).map(move |k| {
         let (dx, dy) = (k % 5, k / 5);
-        let index = reflect(y + dy as isize - 2, height) * width + reflect(x + dx as isize - 2, width);
+        let index =
+            reflect(y + dy as isize - 2, height) * width + reflect(x + dx as isize - 2, width);
         (index, weights[dx] * weights[dy])
     })
 }
@@ -219,21 +259,29 @@ fn length<T: Real>(v: &Vector3<T>) -> T {
     v.norm().max(T::of(1e-12))
 }
 
-/// Unit normals of one frame, `[height][width]`: cross products of the Sobel gradients of the smoothed depth's points.
+/// Unit normals of one frame, `[height][width]`: cross products of the Sobel gradients of the
+/// smoothed depth's points.
 #[must_use]
-pub fn normals<T: Real>(width: usize, height: usize, lens: &Pinhole<T>, disparity: &[T]) -> Vec<Vector3<T>> {
+pub fn normals<T: Real>(
+    width: usize,
+    height: usize,
+    lens: &Pinhole<T>,
+    disparity: &[T],
+) -> Vec<Vector3<T>> {
     let normals = surface(width, height, lens, disparity).normals;
     normals.iter().map(|v| v / length(v)).collect()
 }
 
-/// `[height][width]`: the weight of the normal term, 0.2 at the edges of a disparity and 1.2 elsewhere. An edge is where
-/// `exp(-10 g)` is at most 0.2, with g the length of the Sobel gradient (weights 1, 2, 1, not divided).
+/// `[height][width]`: the weight of the normal term, 0.2 at the edges of a disparity and 1.2
+/// elsewhere. An edge is where `exp(-10 g)` is at most 0.2, with g the length of the Sobel gradient
+/// (weights 1, 2, 1, not divided).
 #[must_use]
 pub fn edge_weight<T: Real>(width: usize, height: usize, disparity: &[T]) -> Vec<T> {
     let at = |p| {
         let slope = |along_x| {
             let taps = sobel(width, height, p, along_x);
-            taps.into_iter().fold(T::zero(), |s, (i, k)| s + disparity[i] * T::of(8.0 * k))
+            taps.into_iter()
+                .fold(T::zero(), |s, (i, k)| s + disparity[i] * T::of(8.0 * k))
         };
         let (x, y): (T, T) = (slope(true), slope(false));
         let alpha = (-T::of(10.0) * (x * x + y * y).sqrt()).exp();
@@ -245,7 +293,11 @@ pub fn edge_weight<T: Real>(width: usize, height: usize, disparity: &[T]) -> Vec
 /// `weight (1 - n(disparity) . n(initial))`, mean over all pixels.
 #[must_use]
 pub fn normal_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
-    let (w, h, n) = (problem.width, problem.height, problem.width * problem.height);
+    let (w, h, n) = (
+        problem.width,
+        problem.height,
+        problem.width * problem.height,
+    );
     let count = T::of(disparity.len() as f64);
     let mut term = Term::zero(disparity.len());
     for frame in 0..problem.frames() {
@@ -260,10 +312,18 @@ pub fn normal_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
             let unit = found.normals[p] / size;
             let cosine = unit.dot(&wanted[p]);
             term.value += weight * (T::one() - cosine);
-            // of the unit vector with respect to the vector; a vector that was too short has no length to lose
-            let lost = if size > T::of(1e-12) { unit * cosine } else { Vector3::zeros() };
+            // of the unit vector with respect to the vector; a vector that was too short has no
+            // length to lose
+            let lost = if size > T::of(1e-12) {
+                unit * cosine
+            } else {
+                Vector3::zeros()
+            };
             let normal = (lost - wanted[p]) * (weight / size);
-            let along = [found.along[1][p].cross(&normal), normal.cross(&found.along[0][p])];
+            let along = [
+                found.along[1][p].cross(&normal),
+                normal.cross(&found.along[0][p]),
+            ];
             for (along, along_x) in along.iter().zip([true, false]) {
                 for (i, k) in sobel(w, h, p, along_x) {
                     points[i] += along * T::of(k);

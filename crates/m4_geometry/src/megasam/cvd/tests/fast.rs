@@ -17,8 +17,16 @@ fn compacted(budget: usize) -> (PairStore, Problem<f64>) {
     let mut problem: Problem<f64> = problem(&Golden::load("cvd/losses.safetensors"));
     let mut store = PairStore::new(SIZE.0, SIZE.1, budget);
     for (k, pair) in problem.pairs.iter_mut().enumerate() {
-        let flow = Flow { width: SIZE.0, height: SIZE.1, u: f32s(&pair.x), v: f32s(&pair.y) };
-        let of = FramePair { source: pair.source, target: pair.target };
+        let flow = Flow {
+            width: SIZE.0,
+            height: SIZE.1,
+            u: f32s(&pair.x),
+            v: f32s(&pair.y),
+        };
+        let of = FramePair {
+            source: pair.source,
+            target: pair.target,
+        };
         store.push(of, &flow, &pair.mask).unwrap();
         let mut buffer = CompactFlow::default();
         let field = store.flow(k, &mut buffer).unwrap();
@@ -53,7 +61,13 @@ fn descent<'a>(
             uncertainty: &uncertainty[i * PIXELS..(i + 1) * PIXELS],
         })
         .collect();
-    Descent::new(level, [problem.lens, problem.normal_lens], &problem.w2c, store, &starts)
+    Descent::new(
+        level,
+        [problem.lens, problem.normal_lens],
+        &problem.w2c,
+        store,
+        &starts,
+    )
 }
 
 fn flat(planes: Vec<Vec<f32>>) -> Vec<f64> {
@@ -62,15 +76,22 @@ fn flat(planes: Vec<Vec<f32>>) -> Vec<f64> {
 
 const LEVELS: [&str; 3] = ["sse2", "avx2", "avx512"];
 
-/// After a first step with a large epsilon the variables have moved by the gradient times a known factor. The state is taken
-/// away from the initial one first, or the shape terms would have no gradient.
+/// After a first step with a large epsilon the variables have moved by the gradient times a known
+/// factor. The state is taken away from the initial one first, or the shape terms would have no
+/// gradient.
 #[test]
 fn loss_and_gradients_are_those_of_the_definition() {
     let (store, problem) = compacted(usize::MAX);
     let only = |k: usize| {
         let mut w = [0.0; 5];
         w[k] = 1.0;
-        Weights { ratio: w[0], flow: w[1], scale_invariant: w[2], gradient: w[3], normal: w[4] }
+        Weights {
+            ratio: w[0],
+            flow: w[1],
+            scale_invariant: w[2],
+            gradient: w[3],
+            normal: w[4],
+        }
     };
     let names = ["ratio", "flow", "si", "grad", "normal"];
     on_every_level(&SimdLevel::available(), SimdLevel::name, &LEVELS, |level| {
@@ -79,7 +100,8 @@ fn loss_and_gradients_are_those_of_the_definition() {
             let mut fast = descent(level, &problem, &store, &f32s(&problem.initial), &u0);
             fast.begin();
             for step in 1..=3 {
-                fast.step(Moves::Pixels, &Weights::STAGE2, 5e-3, 1e-8, step).unwrap();
+                fast.step(Moves::Pixels, &Weights::STAGE2, 5e-3, 1e-8, step)
+                    .unwrap();
             }
             let [d, u] = [flat(fast.disparity()), flat(fast.uncertainty())];
             // the moments of the steps so far would be added to the gradient
@@ -88,7 +110,9 @@ fn loss_and_gradients_are_those_of_the_definition() {
             fast.begin();
             fast.place(&f32s(&d));
             let factor = 100.0;
-            let report = fast.step(Moves::Pixels, &only(k), factor * 1e3, 1e3, 1).unwrap();
+            let report = fast
+                .step(Moves::Pixels, &only(k), factor * 1e3, 1e3, 1)
+                .unwrap();
             assert!(
                 (report.loss - want.value).abs() < 2e-5 * want.value.abs(),
                 "{name} on {}: {} for {}",
@@ -97,7 +121,11 @@ fn loss_and_gradients_are_those_of_the_definition() {
                 want.value
             );
             let moved = |before: &[f64], after: Vec<f64>| -> Vec<f64> {
-                before.iter().zip(after).map(|(b, a)| (b - a) / factor).collect()
+                before
+                    .iter()
+                    .zip(after)
+                    .map(|(b, a)| (b - a) / factor)
+                    .collect()
             };
             let gradients = [
                 (moved(&d, flat(fast.disparity())), &want.disparity),
@@ -136,12 +164,19 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
                 assert!((got - want).abs() < 1e-4 * want, "{name}: {got} for {want}");
             }
         }
-        // Adam makes whole steps of tiny gradients, whose sign is rounding: a few pixels go the other way
+        // Adam makes whole steps of tiny gradients, whose sign is rounding: a few pixels go the
+        // other way
         for (what, got, want) in [
-            ("disparity", flat(fast.disparity()), want.values("s2_disp_8")),
+            (
+                "disparity",
+                flat(fast.disparity()),
+                want.values("s2_disp_8"),
+            ),
             ("u", flat(fast.uncertainty()), want.values("s2_u_8")),
         ] {
-            let off = (0..got.len()).filter(|&i| (got[i] - want[i]).abs() > 1e-4).count();
+            let off = (0..got.len())
+                .filter(|&i| (got[i] - want[i]).abs() > 1e-4)
+                .count();
             let a = Agreement::of(&got, &want);
             assert!(
                 off < got.len() / 30 && a.relative_l2 < 5e-4,
@@ -158,11 +193,21 @@ fn fast_descent_matches_the_reference() {
     let u0 = Golden::load("cvd/losses.safetensors").values("uncertainty");
     let steps = [30, 60];
     let want = descend(&problem, &u0, steps);
-    let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &f32s(&u0));
+    let mut fast = descent(
+        SimdLevel::best(),
+        &problem,
+        &store,
+        &f32s(&problem.initial),
+        &f32s(&u0),
+    );
     let Course { losses, .. } = run(&mut fast, 16, steps, &Silent).unwrap();
     let (first, last) = (want.losses[0][0], want.losses[1][59]);
     assert!(last < 0.8 * first, "{first} {last}");
-    assert!((losses[1][59] - last).abs() < 1e-3 * last, "{} for {last}", losses[1][59]);
+    assert!(
+        (losses[1][59] - last).abs() < 1e-3 * last,
+        "{} for {last}",
+        losses[1][59]
+    );
     let a = Agreement::of(&flat(fast.disparity()), &want.disparity);
     assert!(a.relative_l2 < 1e-2, "{a:?}");
 }
@@ -170,9 +215,18 @@ fn fast_descent_matches_the_reference() {
 fn bits(threads: usize, budget: usize) -> Vec<u32> {
     let (store, problem) = compacted(budget);
     let u0 = f32s(&Golden::load("cvd/losses.safetensors").values("uncertainty"));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .unwrap();
     pool.install(|| {
-        let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &u0);
+        let mut fast = descent(
+            SimdLevel::best(),
+            &problem,
+            &store,
+            &f32s(&problem.initial),
+            &u0,
+        );
         let Course { losses, .. } = run(&mut fast, 16, [3, 4], &Silent).unwrap();
         let values = [fast.disparity().concat(), fast.uncertainty().concat()].concat();
         let losses = losses.concat().into_iter().map(|l| l as f32);

@@ -1,5 +1,5 @@
-//! Consistent video depth on `fixtures/cvd`: the definition against the numbers of the original program, and the fast path against
-//! the definition.
+//! Consistent video depth on `fixtures/cvd`: the definition against the numbers of the original
+//! program, and the fast path against the definition.
 
 mod fast;
 mod optimise;
@@ -7,7 +7,8 @@ mod optimise;
 use super::Weights;
 use super::pairs::{consistency_mask, halved, round_trip_px};
 use super::reference::{
-    Pair, Problem, Term, descend, edge_weight, gradient_loss, normal_loss, normals, pair_losses, scale_invariant_loss,
+    Pair, Problem, Term, descend, edge_weight, gradient_loss, normal_loss, normals, pair_losses,
+    scale_invariant_loss,
 };
 use crate::dba::Pinhole;
 use crate::published::Golden;
@@ -18,7 +19,8 @@ use m4_testkit::{Agreement, assert_gradient, central_differences};
 const SIZE: (usize, usize) = (40, 32);
 const FRAMES: usize = 6;
 
-/// The problem of `losses.safetensors`, with the initial disparity and the edge weights of the file.
+/// The problem of `losses.safetensors`, with the initial disparity and the edge weights of the
+/// file.
 fn problem<T: Real>(file: &Golden) -> Problem<T> {
     let get = |name: &str| file.values(name).into_iter().map(T::of).collect::<Vec<T>>();
     let n = SIZE.0 * SIZE.1;
@@ -42,7 +44,10 @@ fn problem<T: Real>(file: &Golden) -> Problem<T> {
         target: jj[i] as usize,
         x: flows[2 * i * n..(2 * i + 1) * n].to_vec(),
         y: flows[(2 * i + 1) * n..(2 * i + 2) * n].to_vec(),
-        mask: masks[i * n..(i + 1) * n].iter().map(|&m| m != 0.0).collect(),
+        mask: masks[i * n..(i + 1) * n]
+            .iter()
+            .map(|&m| m != 0.0)
+            .collect(),
     };
     Problem {
         width: SIZE.0,
@@ -91,9 +96,16 @@ fn assert_up_to_kinks(what: &str, got: &[f64], want: &[f64], tolerance: f64, kin
 fn values_and_gradients_are_those_of_the_original() {
     let file = Golden::load("cvd/losses.safetensors");
     let mut total = 0.0;
-    for ((name, term), weight) in terms::<f64>(&file).into_iter().zip([1.0, 0.2, 1.0, 5.0, 2.0]) {
+    for ((name, term), weight) in terms::<f64>(&file)
+        .into_iter()
+        .zip([1.0, 0.2, 1.0, 5.0, 2.0])
+    {
         let want = file.values(&format!("value_{name}"))[0];
-        assert!((term.value - want).abs() < 1e-8 * want, "{name}: {} for {want}", term.value);
+        assert!(
+            (term.value - want).abs() < 1e-8 * want,
+            "{name}: {} for {want}",
+            term.value
+        );
         total += weight * term.value;
         let kinks = 4;
         let gradient = file.values(&format!("grad_disp_{name}"));
@@ -133,7 +145,10 @@ fn normals_and_edge_weights_are_those_of_the_original() {
                 assert!((found[i][c] - want[(3 * frame + c) * n + i]).abs() < 1e-10);
             }
         }
-        assert_eq!(edge_weight(SIZE.0, SIZE.1, initial), p.edge_weight[frame * n..(frame + 1) * n]);
+        assert_eq!(
+            edge_weight(SIZE.0, SIZE.1, initial),
+            p.edge_weight[frame * n..(frame + 1) * n]
+        );
     }
 }
 
@@ -143,15 +158,53 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
     let want = Golden::load("cvd/optimiser.safetensors");
     for steps in [1, 8] {
         // the second stage starts where eight steps of the first one lead
-        let got = descend(&problem::<f64>(&file), &file.values("uncertainty"), [8, steps]);
-        assert_gradient("s2 disparity", &got.disparity, &want.values(&format!("s2_disp_{steps}")), 1e-8);
-        assert_gradient("s2 u", &got.uncertainty, &want.values(&format!("s2_u_{steps}")), 1e-8);
+        let got = descend(
+            &problem::<f64>(&file),
+            &file.values("uncertainty"),
+            [8, steps],
+        );
+        assert_gradient(
+            "s2 disparity",
+            &got.disparity,
+            &want.values(&format!("s2_disp_{steps}")),
+            1e-8,
+        );
+        assert_gradient(
+            "s2 u",
+            &got.uncertainty,
+            &want.values(&format!("s2_u_{steps}")),
+            1e-8,
+        );
         assert_gradient("s1 losses", &got.losses[0], &want.values("s1_losses"), 1e-8);
-        assert_gradient("s2 losses", &got.losses[1], &want.values("s2_losses")[..steps], 1e-8);
-        let got = descend(&problem::<f64>(&file), &file.values("uncertainty"), [steps, 0]);
-        assert_gradient("scale", &got.log_scale, &want.values(&format!("s1_log_scale_{steps}")), 1e-8);
-        assert_gradient("shift", &got.shift, &want.values(&format!("s1_shift_{steps}")), 1e-8);
-        assert_gradient("s1 u", &got.uncertainty, &want.values(&format!("s1_u_{steps}")), 1e-8);
+        assert_gradient(
+            "s2 losses",
+            &got.losses[1],
+            &want.values("s2_losses")[..steps],
+            1e-8,
+        );
+        let got = descend(
+            &problem::<f64>(&file),
+            &file.values("uncertainty"),
+            [steps, 0],
+        );
+        assert_gradient(
+            "scale",
+            &got.log_scale,
+            &want.values(&format!("s1_log_scale_{steps}")),
+            1e-8,
+        );
+        assert_gradient(
+            "shift",
+            &got.shift,
+            &want.values(&format!("s1_shift_{steps}")),
+            1e-8,
+        );
+        assert_gradient(
+            "s1 u",
+            &got.uncertainty,
+            &want.values(&format!("s1_u_{steps}")),
+            1e-8,
+        );
     }
 }
 
@@ -162,7 +215,10 @@ fn gradients_are_central_differences() {
     let file = Golden::load("cvd/losses.safetensors");
     let p: Problem<f64> = problem(&file);
     let mut rng = CounterRng::new(3, 1, 4);
-    let weights = Weights { gradient: 0.0, ..Weights::STAGE2 };
+    let weights = Weights {
+        gradient: 0.0,
+        ..Weights::STAGE2
+    };
     let (d, u) = (file.values("disp"), file.values("uncertainty"));
     let total = p.total(&d, &u, &weights);
     let picked: Vec<usize> = (0..60).map(|_| rng.below(d.len())).collect();
@@ -172,8 +228,12 @@ fn gradients_are_central_differences() {
         out
     };
     let at = |v: &[f64]| picked.iter().map(|&i| v[i]).collect::<Vec<f64>>();
-    let by_d = central_differences(&at(&d), 1e-6, |x| p.total(&moved(&d, x), &u, &weights).value);
-    let by_u = central_differences(&at(&u), 1e-6, |x| p.total(&d, &moved(&u, x), &weights).value);
+    let by_d = central_differences(&at(&d), 1e-6, |x| {
+        p.total(&moved(&d, x), &u, &weights).value
+    });
+    let by_u = central_differences(&at(&u), 1e-6, |x| {
+        p.total(&d, &moved(&u, x), &weights).value
+    });
     assert_gradient("u", &at(&total.uncertainty), &by_u.gradient, 1e-5);
     assert_up_to_kinks("disparity", &at(&total.disparity), &by_d.gradient, 1e-5, 2);
 }
@@ -203,9 +263,14 @@ fn halved_flows_and_masks_are_those_of_the_original() {
     let [there, back] = &half;
     let (error, want) = (round_trip_px(there, back), file.values("error"));
     // the original rounds positions to 1/32 pixel
-    let steepest = (0..error.len()).map(|i| (f64::from(error[i]) - want[i]).abs()).fold(0.0, f64::max);
+    let steepest = (0..error.len())
+        .map(|i| (f64::from(error[i]) - want[i]).abs())
+        .fold(0.0, f64::max);
     assert!(steepest < 0.1, "{steepest}");
-    let mean = (0..error.len()).map(|i| (f64::from(error[i]) - want[i]).abs()).sum::<f64>() / error.len() as f64;
+    let mean = (0..error.len())
+        .map(|i| (f64::from(error[i]) - want[i]).abs())
+        .sum::<f64>()
+        / error.len() as f64;
     assert!(mean < 0.01, "{mean}");
     let (mask, want_mask) = (consistency_mask(there, back), file.values("mask"));
     let (mut compared, mut outside) = (0, 0);
@@ -216,17 +281,30 @@ fn halved_flows_and_masks_are_those_of_the_original() {
             assert!(!mask[i], "a pixel that leaves the frame counts");
         } else if (want[i] - 1.0).abs() > 0.1 {
             compared += 1;
-            assert_eq!(mask[i], want_mask[i] != 0.0, "pixel {i} with error {}", want[i]);
+            assert_eq!(
+                mask[i],
+                want_mask[i] != 0.0,
+                "pixel {i} with error {}",
+                want[i]
+            );
         }
     }
     let on = mask.iter().filter(|m| **m).count();
     assert!(compared > 500 && outside > 0, "{compared} {outside}");
-    assert!(on > 50 && on < mask.len() - 50, "{on} pixels count: the fixture tests nothing");
+    assert!(
+        on > 50 && on < mask.len() - 50,
+        "{on} pixels count: the fixture tests nothing"
+    );
 }
 
 #[test]
 fn nan_pixels_are_ignored() {
-    let mut there = Flow { width: 4, height: 3, u: vec![0.0; 12], v: vec![0.0; 12] };
+    let mut there = Flow {
+        width: 4,
+        height: 3,
+        u: vec![0.0; 12],
+        v: vec![0.0; 12],
+    };
     let back = there.clone();
     there.u[5] = f32::NAN;
     there.v[6] = f32::INFINITY;

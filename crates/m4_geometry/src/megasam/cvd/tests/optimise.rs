@@ -1,7 +1,9 @@
 //! The whole thing on a drawn scene: a wavy wall two metres away, seen by a camera that walks past.
 
 use crate::megasam::cvd::pairs::{FramePair, PairStore, pair_list};
-use crate::megasam::cvd::{CVD_STEPS, ConsistentDepth, CvdError, CvdInput, PairError, optimise, uncertainty_of_static};
+use crate::megasam::cvd::{
+    CVD_STEPS, ConsistentDepth, CvdError, CvdInput, PairError, optimise, uncertainty_of_static,
+};
 use m4_core::{
     CounterRng, Flow, Intrinsics, Plane, Se3, Silent,
     nalgebra::{Vector3, Vector6},
@@ -21,14 +23,26 @@ struct Clip {
     pairs: PairStore,
 }
 
-/// All lengths times `unit`. Where `moves` says so, the flow is a few pixels off what the camera's motion makes.
+/// All lengths times `unit`. Where `moves` says so, the flow is a few pixels off what the camera's
+/// motion makes.
 fn clip(unit: f64, moves: impl Fn(usize) -> bool) -> Clip {
     let (w, h) = SIZE;
     // a principal point off the middle
-    let intrinsics = Intrinsics { cx: 23.0, cy: 20.5, ..Intrinsics::centred(w, h, 45.0) };
+    let intrinsics = Intrinsics {
+        cx: 23.0,
+        cy: 20.5,
+        ..Intrinsics::centred(w, h, 45.0)
+    };
     let pose = |i: usize| {
         let t = i as f64;
-        let twist = Vector6::new(0.06 * t, 0.03 * t.sin(), 0.02 * t, 0.01 * t, -0.015 * t, 0.005 * t);
+        let twist = Vector6::new(
+            0.06 * t,
+            0.03 * t.sin(),
+            0.02 * t,
+            0.01 * t,
+            -0.015 * t,
+            0.005 * t,
+        );
         let mut pose = Se3::<f64>::identity().retract(&twist);
         pose.translation *= unit;
         pose
@@ -47,11 +61,19 @@ fn clip(unit: f64, moves: impl Fn(usize) -> bool) -> Clip {
         }
         z
     };
-    let truth: Vec<Vec<f64>> = c2w.iter().map(|pose| (0..w * h).map(|p| 1.0 / depth(pose, p)).collect()).collect();
+    let truth: Vec<Vec<f64>> = c2w
+        .iter()
+        .map(|pose| (0..w * h).map(|p| 1.0 / depth(pose, p)).collect())
+        .collect();
     let mut pairs = PairStore::new(w, h, usize::MAX);
     for pair in pair_list(FRAMES) {
         let there = c2w[pair.target].inverse().compose(&c2w[pair.source]);
-        let mut flow = Flow { width: w, height: h, u: Vec::new(), v: Vec::new() };
+        let mut flow = Flow {
+            width: w,
+            height: h,
+            u: Vec::new(),
+            v: Vec::new(),
+        };
         let mut mask = Vec::new();
         for p in 0..w * h {
             let point = there.transform(&(ray(p) / truth[pair.source][p]));
@@ -68,14 +90,28 @@ fn clip(unit: f64, moves: impl Fn(usize) -> bool) -> Clip {
     let mut start = Vec::new();
     for truth in &truth {
         let factor = 1.0 + 0.2 * (2.0 * rng.uniform() - 1.0);
-        let bump = |x: usize, y: usize| 1.0 + 0.06 * (0.5 * x as f64).sin() * (0.4 * y as f64).cos();
-        start.push(Plane::from_fn(w, h, |x, y| (factor * truth[y * w + x] * bump(x, y)) as f32));
+        let bump =
+            |x: usize, y: usize| 1.0 + 0.06 * (0.5 * x as f64).sin() * (0.4 * y as f64).cos();
+        start.push(Plane::from_fn(w, h, |x, y| {
+            (factor * truth[y * w + x] * bump(x, y)) as f32
+        }));
     }
-    Clip { c2w, intrinsics, truth, start, pairs }
+    Clip {
+        c2w,
+        intrinsics,
+        truth,
+        start,
+        pairs,
+    }
 }
 
 fn input<'a>(clip: &'a Clip, uncertainty: &'a [Plane<f32>]) -> CvdInput<'a> {
-    CvdInput { c2w: &clip.c2w, intrinsics: clip.intrinsics, disparity: &clip.start, uncertainty }
+    CvdInput {
+        c2w: &clip.c2w,
+        intrinsics: clip.intrinsics,
+        disparity: &clip.start,
+        uncertainty,
+    }
 }
 
 fn even() -> Vec<Plane<f32>> {
@@ -104,15 +140,26 @@ fn frames_agree_with_the_poses_in_their_unit() {
     let before = abs_rel(&clip, &clip.start, |_| true);
     let found = found(&clip, CVD_STEPS);
     let after = abs_rel(&clip, &found.disparity, |_| true);
-    assert!(before > 0.06 && after < 0.35 * before, "{before} to {after}");
+    assert!(
+        before > 0.06 && after < 0.35 * before,
+        "{before} to {after}"
+    );
     assert!(found.losses[1][399] < found.losses[0][0]);
     assert_eq!((found.scale.len(), found.shift.len()), (FRAMES, FRAMES));
     // the first stage undoes most of each frame's factor
     for (i, truth) in clip.truth.iter().enumerate() {
         let n = truth.len() as f64;
-        let mean = clip.start[i].data().iter().map(|&d| f64::from(d)).sum::<f64>() / n;
+        let mean = clip.start[i]
+            .data()
+            .iter()
+            .map(|&d| f64::from(d))
+            .sum::<f64>()
+            / n;
         let settled = found.scale[i] * mean + found.shift[i];
-        assert!((settled * n / truth.iter().sum::<f64>() - 1.0).abs() < 0.06, "frame {i}");
+        assert!(
+            (settled * n / truth.iter().sum::<f64>() - 1.0).abs() < 0.06,
+            "frame {i}"
+        );
     }
 }
 
@@ -141,14 +188,26 @@ fn dynamic_pixels_get_low_u_and_static_depth_is_unchanged() {
             .uncertainty
             .iter()
             .take(5)
-            .flat_map(|u| u.data().iter().enumerate().filter(|(p, _)| keep(*p)).map(|(_, u)| *u))
+            .flat_map(|u| {
+                u.data()
+                    .iter()
+                    .enumerate()
+                    .filter(|(p, _)| keep(*p))
+                    .map(|(_, u)| *u)
+            })
             .collect();
         f64::from(kept.iter().sum::<f32>()) / kept.len() as f64
     };
     let (moving, still) = (mean(&moves), mean(&|p| !moves(p)));
-    assert!(moving < 0.5 * still, "u {moving} where it moves, {still} where it is static");
+    assert!(
+        moving < 0.5 * still,
+        "u {moving} where it moves, {still} where it is static"
+    );
     let rest = abs_rel(&clip, &found.disparity, |p| !moves(p));
-    assert!(rest < 0.5 * abs_rel(&clip, &clip.start, |p| !moves(p)), "{rest}");
+    assert!(
+        rest < 0.5 * abs_rel(&clip, &clip.start, |p| !moves(p)),
+        "{rest}"
+    );
 }
 
 #[test]
@@ -158,8 +217,15 @@ fn it_stops_when_asked() {
     for polls in 0..7 {
         let stop = StopAtPoll::after(polls);
         let stopped = optimise(&input(&clip, &u), &clip.pairs, [3, 5], &stop).unwrap_err();
-        let (stage, step) = if polls < 3 { (1, polls) } else { (2, polls - 3) };
-        assert!(matches!(stopped, CvdError::Cancelled { stage: a, step: b } if (a, b) == (stage, step)), "{stopped}");
+        let (stage, step) = if polls < 3 {
+            (1, polls)
+        } else {
+            (2, polls - 3)
+        };
+        assert!(
+            matches!(stopped, CvdError::Cancelled { stage: a, step: b } if (a, b) == (stage, step)),
+            "{stopped}"
+        );
     }
 }
 
@@ -168,13 +234,22 @@ fn broken_inputs_are_refused_with_a_reason() {
     let clip = clip(1.0, |_| false);
     let u = even();
     let good = input(&clip, &u);
-    let message =
-        |input: &CvdInput<'_>, pairs: &PairStore| optimise(input, pairs, [1, 1], &Silent).unwrap_err().to_string();
-    let short = CvdInput { c2w: &clip.c2w[1..], ..good };
+    let message = |input: &CvdInput<'_>, pairs: &PairStore| {
+        optimise(input, pairs, [1, 1], &Silent)
+            .unwrap_err()
+            .to_string()
+    };
+    let short = CvdInput {
+        c2w: &clip.c2w[1..],
+        ..good
+    };
     assert!(message(&short, &clip.pairs).contains("disparity has 10 entries where 9"));
     let mut holes = clip.start.clone();
     holes[3].data_mut()[7] = f32::NAN;
-    let holed = CvdInput { disparity: &holes, ..good };
+    let holed = CvdInput {
+        disparity: &holes,
+        ..good
+    };
     let text = message(&holed, &clip.pairs);
     assert!(text.contains("frame 3") && text.contains("NaN"), "{text}");
     let mut intrinsics = clip.intrinsics;
@@ -182,13 +257,21 @@ fn broken_inputs_are_refused_with_a_reason() {
     assert!(message(&CvdInput { intrinsics, ..good }, &clip.pairs).contains("focal"));
     let flow = |store: &mut PairStore, source, target, mask: bool| {
         let n = SIZE.0 * SIZE.1;
-        let still = Flow { width: SIZE.0, height: SIZE.1, u: vec![0.0; n], v: vec![0.0; n] };
+        let still = Flow {
+            width: SIZE.0,
+            height: SIZE.1,
+            u: vec![0.0; n],
+            v: vec![0.0; n],
+        };
         store.push(FramePair { source, target }, &still, &vec![mask; n])
     };
     let mut far = PairStore::new(SIZE.0, SIZE.1, 0);
     flow(&mut far, 0, 10, true).unwrap();
     assert!(message(&good, &far).contains("there are 10 frames"));
-    assert!(matches!(flow(&mut far, 0, 10, true), Err(PairError::Input(_))));
+    assert!(matches!(
+        flow(&mut far, 0, 10, true),
+        Err(PairError::Input(_))
+    ));
     let mut nothing = PairStore::new(SIZE.0, SIZE.1, 0);
     flow(&mut nothing, 0, 1, false).unwrap();
     assert!(message(&good, &nothing).contains("no pixel"));

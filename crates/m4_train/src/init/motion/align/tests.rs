@@ -6,16 +6,25 @@ const SIZE: (usize, usize) = (160, 120);
 const DEPTH: f64 = 2.0;
 const ROUNDS: [Extent; 2] = [WIDE, NARROW];
 
-/// A textured wall, dynamic but for its left quarter, whose pixel `(x, y)` shows what is at `back(x, y)`, by that much `light`.
+/// A textured wall, dynamic but for its left quarter, whose pixel `(x, y)` shows what is at
+/// `back(x, y)`, by that much `light`.
 fn frame(back: impl Fn(f64, f64) -> [f64; 2], contrast: f64, light: f64) -> CaptureFrame {
     let texture = |x: f64, y: f64| {
-        let wave =
-            |a: f64, b: f64, c: f64| 0.5 + contrast * (0.25 * (a * x + b * y).sin() + 0.25 * (b * x - a * y + c).cos());
-        [wave(0.5, 0.2, 0.0), wave(0.3, -0.45, 1.0), wave(0.15, 0.6, 2.0)]
+        let wave = |a: f64, b: f64, c: f64| {
+            0.5 + contrast * (0.25 * (a * x + b * y).sin() + 0.25 * (b * x - a * y + c).cos())
+        };
+        [
+            wave(0.5, 0.2, 0.0),
+            wave(0.3, -0.45, 1.0),
+            wave(0.15, 0.6, 2.0),
+        ]
     };
     CaptureFrame {
         name: String::new(),
-        camera: Camera { intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 140.0), c2w: Se3::identity() },
+        camera: Camera {
+            intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 140.0),
+            c2w: Se3::identity(),
+        },
         t: 0.0,
         rgb: Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
             let [u, v] = back(x as f64, y as f64);
@@ -43,14 +52,33 @@ fn places(frame: &CaptureFrame) -> Vec<[f32; 3]> {
     pixels.map(place).collect()
 }
 
-/// The median and the largest distance of nodes, aligned from no motion, from `forward`, pixels; and the largest error of depth, share.
-fn errors(from: &CaptureFrame, to: &CaptureFrame, forward: impl Fn(f64, f64) -> [f64; 2]) -> [f32; 3] {
+/// The median and the largest distance of nodes, aligned from no motion, from `forward`, pixels;
+/// and the largest error of depth, share.
+fn errors(
+    from: &CaptureFrame,
+    to: &CaptureFrame,
+    forward: impl Fn(f64, f64) -> [f64; 2],
+) -> [f32; 3] {
     let places = places(from);
     let (pieces, chosen) = pieces(&Observed::new(from).unwrap(), &places, 6.0).unwrap();
     assert_eq!(chosen.len(), pieces.nodes.len());
-    let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
-    let prior = Prior { depth: 0.004, apart_px: 0.5, step_px: 1.0 };
-    let motion = align(&pieces, &Observed::new(to).unwrap(), &still, prior, &ROUNDS.map(|e| [e; 6]).concat());
+    let still: Vec<Rigid> = pieces
+        .nodes
+        .iter()
+        .map(|n| Rigid::shift(n.place.into(), n.place.into()))
+        .collect();
+    let prior = Prior {
+        depth: 0.004,
+        apart_px: 0.5,
+        step_px: 1.0,
+    };
+    let motion = align(
+        &pieces,
+        &Observed::new(to).unwrap(),
+        &still,
+        prior,
+        &ROUNDS.map(|e| [e; 6]).concat(),
+    );
     let (mut off, mut depth) = (Vec::new(), 0.0f32);
     for (node, motion) in pieces.nodes.iter().zip(&motion) {
         let (at, _) = from.camera.project(&node.place.cast::<f64>());
@@ -67,7 +95,10 @@ fn errors(from: &CaptureFrame, to: &CaptureFrame, forward: impl Fn(f64, f64) -> 
 fn a_guess_that_is_a_pixel_off_becomes_exact_to_a_tenth_in_dimmer_light() {
     let shifted = frame(|x, y| [x - 0.8, y + 0.6], 1.0, 0.7);
     let [median, most, depth] = errors(&still(1.0), &shifted, |x, y| [x + 0.8, y - 0.6]);
-    assert!(median < 0.1 && most < 0.3 && depth < 0.002, "{median} {most} px, {depth}");
+    assert!(
+        median < 0.1 && most < 0.3 && depth < 0.002,
+        "{median} {most} px, {depth}"
+    );
     let turned = |angle: f64| {
         let (sin, cos) = angle.sin_cos();
         move |x: f64, y: f64| {
@@ -76,7 +107,10 @@ fn a_guess_that_is_a_pixel_off_becomes_exact_to_a_tenth_in_dimmer_light() {
         }
     };
     let [median, most, depth] = errors(&still(1.0), &frame(turned(-0.02), 1.0, 0.7), turned(0.02));
-    assert!(median < 0.1 && most < 0.3 && depth < 0.002, "{median} {most} px, {depth}");
+    assert!(
+        median < 0.1 && most < 0.3 && depth < 0.002,
+        "{median} {most} px, {depth}"
+    );
 }
 
 #[test]
@@ -91,19 +125,51 @@ fn a_plain_surface_keeps_its_guess() {
 fn what_shows_nothing_moves_nothing() {
     let from = still(1.0);
     let without = |depth: bool| match depth {
-        true => CaptureFrame { depth: None, ..from.clone() },
-        false => CaptureFrame { mask: None, ..from.clone() },
+        true => CaptureFrame {
+            depth: None,
+            ..from.clone()
+        },
+        false => CaptureFrame {
+            mask: None,
+            ..from.clone()
+        },
     };
     assert!(Observed::new(&without(true)).is_none() && Observed::new(&without(false)).is_none());
-    let empty = CaptureFrame { mask: Some(CompactMask::from_fn(SIZE.0, SIZE.1, |_, _| false)), ..from.clone() };
+    let empty = CaptureFrame {
+        mask: Some(CompactMask::from_fn(SIZE.0, SIZE.1, |_, _| false)),
+        ..from.clone()
+    };
     assert!(pieces(&Observed::new(&empty).unwrap(), &[], 6.0).is_none());
     let [_, most, depth] = errors(&from, &empty, |x, y| [x, y]);
     assert!(most < 1e-3 && depth < 1e-4, "{most} px, {depth}");
-    let away = Se3 { translation: [0.0, 0.0, 9.0].into(), ..Se3::identity() };
-    let behind = CaptureFrame { camera: Camera { c2w: away, ..from.camera }, ..from.clone() };
+    let away = Se3 {
+        translation: [0.0, 0.0, 9.0].into(),
+        ..Se3::identity()
+    };
+    let behind = CaptureFrame {
+        camera: Camera {
+            c2w: away,
+            ..from.camera
+        },
+        ..from.clone()
+    };
     let (pieces, _) = pieces(&Observed::new(&from).unwrap(), &places(&from), 6.0).unwrap();
-    let still: Vec<Rigid> = pieces.nodes.iter().map(|n| Rigid::shift(n.place.into(), n.place.into())).collect();
-    let prior = Prior { depth: 0.004, apart_px: 0.5, step_px: 1.0 };
-    let motion = align(&pieces, &Observed::new(&behind).unwrap(), &still, prior, &ROUNDS.map(|e| [e; 6]).concat());
+    let still: Vec<Rigid> = pieces
+        .nodes
+        .iter()
+        .map(|n| Rigid::shift(n.place.into(), n.place.into()))
+        .collect();
+    let prior = Prior {
+        depth: 0.004,
+        apart_px: 0.5,
+        step_px: 1.0,
+    };
+    let motion = align(
+        &pieces,
+        &Observed::new(&behind).unwrap(),
+        &still,
+        prior,
+        &ROUNDS.map(|e| [e; 6]).concat(),
+    );
     assert!(motion.iter().all(|m| (m.to - m.from).norm() < 1e-3));
 }

@@ -1,14 +1,19 @@
-//! Which modules of a crate use which: no cycle among its top modules, so that each can be read after those that it uses.
+//! Which modules of a crate use which: no cycle among its top modules, so that each can be read
+//! after those that it uses.
 //!
-//! A top module is `src/NAME.rs` or `src/NAME/`. An arrow is a path that starts with `crate::`, or with `super::` up to the root of the
-//! crate, in code that is no test; names that the root re-exports count for the module that they come from. Code in the root itself
-//! has a place of its own, the name of its file.
+//! A top module is `src/NAME.rs` or `src/NAME/`. An arrow is a path that starts with `crate::`, or
+//! with `super::` up to the root of the crate, in code that is no test; names that the root
+//! re-exports count for the module that they come from. Code in the root itself has a place of its
+//! own, the name of its file.
+
+mod tokens;
 
 use crate::paper::{Sources, sources};
 use anyhow::{Context, Result, anyhow, bail};
-use proc_macro2::{Delimiter, TokenStream, TokenTree};
+use proc_macro2::{TokenStream, TokenTree};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use tokens::{attribute, item, path_goes_on, sign, strings, tree, word};
 
 /// For each top module those that it uses, each with an example: the file and the name.
 pub type Modules = BTreeMap<String, BTreeMap<String, String>>;
@@ -47,7 +52,8 @@ struct Reader<'a> {
     sources: &'a Sources,
     /// The file of the root without its folders.
     root: &'static str,
-    /// For each name in the root, the first part of the path that it comes from; for an item of the root its file.
+    /// For each name in the root, the first part of the path that it comes from; for an item of the
+    /// root its file.
     names: BTreeMap<String, String>,
     modules: BTreeSet<String>,
     uses: Vec<Use>,
@@ -59,18 +65,46 @@ struct Reader<'a> {
 ///
 /// A file that is missing or no Rust, and a name that the root does not have.
 pub fn modules(folder: &str, sources: &Sources) -> Result<Modules> {
-    let root = if sources.contains_key(&format!("{folder}lib.rs")) { "lib.rs" } else { "main.rs" };
-    let place = Place { module: Vec::new(), file: format!("{folder}{root}"), folder: folder.to_owned() };
-    let mut reader = Reader { sources, root, names: BTreeMap::new(), modules: BTreeSet::new(), uses: Vec::new() };
+    let root = if sources.contains_key(&format!("{folder}lib.rs")) {
+        "lib.rs"
+    } else {
+        "main.rs"
+    };
+    let place = Place {
+        module: Vec::new(),
+        file: format!("{folder}{root}"),
+        folder: folder.to_owned(),
+    };
+    let mut reader = Reader {
+        sources,
+        root,
+        names: BTreeMap::new(),
+        modules: BTreeSet::new(),
+        uses: Vec::new(),
+    };
     reader.file(&place)?;
-    let mut modules: Modules = reader.modules.iter().map(|name| (name.clone(), BTreeMap::new())).collect();
-    for Use { from, name, path, file } in &reader.uses {
-        let to = reader.home(name).with_context(|| format!("{file}: no `{name}` in the root of the crate"))?;
+    let mut modules: Modules = reader
+        .modules
+        .iter()
+        .map(|name| (name.clone(), BTreeMap::new()))
+        .collect();
+    for Use {
+        from,
+        name,
+        path,
+        file,
+    } in &reader.uses
+    {
+        let to = reader
+            .home(name)
+            .with_context(|| format!("{file}: no `{name}` in the root of the crate"))?;
         if let Home::Here(to) = to
             && to != *from
         {
             let arrows = modules.entry(from.clone()).or_default();
-            arrows.entry(to).or_insert_with(|| format!("{path} in {file}"));
+            arrows
+                .entry(to)
+                .or_insert_with(|| format!("{path} in {file}"));
         }
     }
     Ok(modules)
@@ -79,13 +113,24 @@ pub fn modules(folder: &str, sources: &Sources) -> Result<Modules> {
 impl Reader<'_> {
     /// Where a name of the root comes from.
     fn home(&self, name: &str) -> Option<Home> {
-        let from = if self.modules.contains(name) { name } else { self.names.get(name)? };
+        let from = if self.modules.contains(name) {
+            name
+        } else {
+            self.names.get(name)?
+        };
         let is_here = from == self.root || self.modules.contains(from);
-        Some(if is_here { Home::Here(from.to_owned()) } else { Home::Elsewhere })
+        Some(if is_here {
+            Home::Here(from.to_owned())
+        } else {
+            Home::Elsewhere
+        })
     }
 
     fn file(&mut self, place: &Place) -> Result<()> {
-        let text = self.sources.get(&place.file).with_context(|| format!("no file {}", place.file))?;
+        let text = self
+            .sources
+            .get(&place.file)
+            .with_context(|| format!("no file {}", place.file))?;
         let tokens: TokenStream = text.parse().map_err(|e| anyhow!("{}: {e}", place.file))?;
         self.tokens(tokens, place, true)
     }
@@ -113,7 +158,9 @@ impl Reader<'_> {
                 Some("macro_rules") if sign(rest, 1, '!') => {
                     let name = word(rest, 2).unwrap_or_default();
                     let home = place.module.first().filter(|_| exported).cloned();
-                    if let Some(home) = home.or_else(|| place.module.is_empty().then(|| self.root.to_owned())) {
+                    if let Some(home) =
+                        home.or_else(|| place.module.is_empty().then(|| self.root.to_owned()))
+                    {
                         self.names.insert(name, home);
                     }
                     exported = false;
@@ -173,9 +220,17 @@ impl Reader<'_> {
                 self.path(&path, place)?;
                 continue;
             }
-            let Some(first) = path.iter().find(|part| !["crate", "self"].contains(&part.as_str())) else { continue };
+            let Some(first) = path
+                .iter()
+                .find(|part| !["crate", "self"].contains(&part.as_str()))
+            else {
+                continue;
+            };
             if name == "*" {
-                bail!("{}: `use {first}::*` hides which names the root has", place.file);
+                bail!(
+                    "{}: `use {first}::*` hides which names the root has",
+                    place.file
+                );
             }
             self.names.entry(name).or_insert_with(|| first.clone());
         }
@@ -183,18 +238,34 @@ impl Reader<'_> {
     }
 
     /// A word in the root's own code: an item that it defines, or a name that it uses.
-    fn in_root(&mut self, name: &str, before: &[TokenTree], leads: bool, items: bool, place: &Place) {
-        let defines = ["const", "enum", "fn", "static", "struct", "trait", "type", "union"];
+    fn in_root(
+        &mut self,
+        name: &str,
+        before: &[TokenTree],
+        leads: bool,
+        items: bool,
+        place: &Place,
+    ) {
+        let defines = [
+            "const", "enum", "fn", "static", "struct", "trait", "type", "union",
+        ];
         let last = before.len().wrapping_sub(1);
         let keyword = word(before, last).is_some_and(|word| defines.contains(&word.as_str()));
-        if sign(before, last, '.') || sign(before, last, ':') && sign(before, last.wrapping_sub(1), ':') {
+        if sign(before, last, '.')
+            || sign(before, last, ':') && sign(before, last.wrapping_sub(1), ':')
+        {
             return;
         }
         if items && keyword {
             self.names.insert(name.to_owned(), self.root.to_owned());
         } else if leads && self.modules.contains(name) || self.names.contains_key(name) {
             let (from, file) = (self.root.to_owned(), place.file.clone());
-            self.uses.push(Use { from, name: name.to_owned(), path: name.to_owned(), file });
+            self.uses.push(Use {
+                from,
+                name: name.to_owned(),
+                path: name.to_owned(),
+                file,
+            });
         }
     }
 
@@ -207,131 +278,44 @@ impl Reader<'_> {
             "super" if up == place.module.len() => up,
             _ => return Ok(()),
         };
-        let Some(name) = path.get(at).filter(|name| *name != "self") else { return Ok(()) };
+        let Some(name) = path.get(at).filter(|name| *name != "self") else {
+            return Ok(());
+        };
         if name == "*" {
-            bail!("{}: a glob of the whole crate hides what is used", place.file);
+            bail!(
+                "{}: a glob of the whole crate hides what is used",
+                place.file
+            );
         }
-        let from = place.module.first().map_or(self.root, String::as_str).to_owned();
-        self.uses.push(Use { from, name: name.clone(), path: path[at..].join("::"), file: place.file.clone() });
+        let from = place
+            .module
+            .first()
+            .map_or(self.root, String::as_str)
+            .to_owned();
+        self.uses.push(Use {
+            from,
+            name: name.clone(),
+            path: path[at..].join("::"),
+            file: place.file.clone(),
+        });
         Ok(())
     }
 }
 
-fn word(tokens: &[TokenTree], at: usize) -> Option<String> {
-    match tokens.get(at)? {
-        TokenTree::Ident(word) => Some(word.to_string()),
-        _ => None,
-    }
-}
-
-fn sign(tokens: &[TokenTree], at: usize, sign: char) -> bool {
-    matches!(tokens.get(at), Some(TokenTree::Punct(p)) if p.as_char() == sign)
-}
-
-/// Whether `::` follows the first token, and then more of the path.
-fn path_goes_on(tokens: &[TokenTree]) -> bool {
-    sign(tokens, 1, ':') && sign(tokens, 2, ':') && !sign(tokens, 3, '<')
-}
-
-/// What is in the brackets of an attribute, and how many tokens it takes.
-fn attribute(tokens: &[TokenTree]) -> Option<(TokenStream, usize)> {
-    let at = if sign(tokens, 1, '!') { 2 } else { 1 };
-    match tokens.get(at) {
-        Some(TokenTree::Group(group)) if sign(tokens, 0, '#') && group.delimiter() == Delimiter::Bracket => {
-            Some((group.stream(), at + 1))
-        }
-        _ => None,
-    }
-}
-
-/// An attribute with the code of its strings in their place: `with = "crate::packed"`.
-fn strings(attribute: TokenStream) -> TokenStream {
-    let code = |token: TokenTree| -> TokenStream {
-        match &token {
-            TokenTree::Group(group) => strings(group.stream()),
-            TokenTree::Literal(text) => {
-                let text = text.to_string();
-                let path = text.trim_matches('"');
-                if path.starts_with("crate::") { path.parse().unwrap_or_default() } else { token.into() }
-            }
-            _ => token.into(),
-        }
-    };
-    attribute.into_iter().map(code).collect()
-}
-
-/// How many tokens an item, a field or a statement takes, with the attributes that are left of it.
-fn item(tokens: &[TokenTree]) -> usize {
-    let mut at = 0;
-    while let Some((_, taken)) = attribute(&tokens[at..]) {
-        at += taken;
-    }
-    // Values end at a semicolon, other items at their braces, fields and arms at a comma.
-    let (mut value, mut member) = (false, true);
-    while at < tokens.len() {
-        if let Some(word) = word(tokens, at) {
-            value |= ["use", "static", "type", "let"].contains(&word.as_str());
-            value |= word == "const" && word_is_name(tokens, at + 1);
-            member &= !value && !["enum", "fn", "impl", "mod", "struct", "trait", "union"].contains(&word.as_str());
-        }
-        let braces = matches!(&tokens[at], TokenTree::Group(g) if g.delimiter() == Delimiter::Brace);
-        let ends = sign(tokens, at, ';') || braces && !value || sign(tokens, at, ',') && member;
-        at += 1;
-        if ends {
-            break;
-        }
-    }
-    at
-}
-
-/// Whether a constant is named, in place of the function that `const fn` starts.
-fn word_is_name(tokens: &[TokenTree], at: usize) -> bool {
-    word(tokens, at).is_some_and(|word| !["fn", "unsafe", "extern", "async"].contains(&word.as_str()))
-}
-
-/// Reads a path or a tree of paths (`a::{b, c as d}`), each with the name that it gives, up to what ends it; how many tokens it took.
-fn tree(tokens: &[TokenTree], prefix: &[String], paths: &mut Vec<(Vec<String>, String)>) -> usize {
-    let mut path = prefix.to_vec();
-    let mut at = 0;
-    // `::a` starts at another crate.
-    while sign(tokens, at, ':') {
-        at += 1;
-    }
-    loop {
-        match tokens.get(at) {
-            Some(TokenTree::Ident(word)) => path.push(word.to_string()),
-            Some(TokenTree::Punct(p)) if p.as_char() == '*' => path.push("*".to_owned()),
-            Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Brace => {
-                let inner: Vec<TokenTree> = group.stream().into_iter().collect();
-                let mut from = 0;
-                while from < inner.len() {
-                    from += tree(&inner[from..], &path, paths) + 1;
-                }
-                return at + 1;
-            }
-            _ => return at,
-        }
-        at += 1;
-        if !(sign(tokens, at, ':') && sign(tokens, at + 1, ':')) || sign(tokens, at + 2, '<') {
-            break;
-        }
-        at += 2;
-    }
-    let mut name = path.iter().rev().find(|part| *part != "self").cloned().unwrap_or_default();
-    if word(tokens, at).as_deref() == Some("as") {
-        name = word(tokens, at + 1).unwrap_or_default();
-        at += 2;
-    }
-    paths.push((path, name));
-    at
-}
-
 /// The top modules that use each other in a circle, one set for each circle or knot of circles.
 pub fn cycles(modules: &Modules) -> Vec<BTreeSet<&str>> {
-    let all: BTreeMap<&str, BTreeSet<&str>> = modules.keys().map(|name| (&**name, reached(modules, name))).collect();
+    let all: BTreeMap<&str, BTreeSet<&str>> = modules
+        .keys()
+        .map(|name| (&**name, reached(modules, name)))
+        .collect();
     let mut knots: BTreeSet<BTreeSet<&str>> = BTreeSet::new();
     for (name, to) in &all {
-        knots.insert(to.iter().copied().filter(|other| all[other].contains(name)).collect());
+        knots.insert(
+            to.iter()
+                .copied()
+                .filter(|other| all[other].contains(name))
+                .collect(),
+        );
     }
     knots.into_iter().filter(|knot| !knot.is_empty()).collect()
 }
@@ -347,14 +331,18 @@ fn reached<'a>(modules: &'a Modules, from: &'a str) -> BTreeSet<&'a str> {
     reached
 }
 
-/// Says which modules of `name` use each other in a circle, one text for each circle; empty when there is none.
+/// Says which modules of `name` use each other in a circle, one text for each circle; empty when
+/// there is none.
 pub fn violations(name: &str, modules: &Modules) -> Vec<String> {
     let mut found = Vec::new();
     for knot in cycles(modules) {
         let list = knot.iter().copied().collect::<Vec<_>>().join(", ");
         let mut text = format!("modules of {name} use each other in a circle: {list}");
         for from in &knot {
-            for (to, example) in modules[*from].iter().filter(|(to, _)| knot.contains(to.as_str())) {
+            for (to, example) in modules[*from]
+                .iter()
+                .filter(|(to, _)| knot.contains(to.as_str()))
+            {
                 text.push_str(&format!("\n  {from} -> {to}: {example}"));
             }
         }
@@ -371,7 +359,14 @@ pub fn check(root: &Path) -> Result<()> {
     packages.retain(|package| root.join(package).join("Cargo.toml").is_file());
     let mut found = Vec::new();
     for package in &packages {
-        found.extend(violations(package, &modules(&format!("{package}/src/"), &sources)?));
+        found.extend(violations(
+            package,
+            &modules(&format!("{package}/src/"), &sources)?,
+        ));
     }
-    if found.is_empty() { Ok(()) } else { bail!("{}", found.join("\n")) }
+    if found.is_empty() {
+        Ok(())
+    } else {
+        bail!("{}", found.join("\n"))
+    }
 }
