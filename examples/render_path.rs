@@ -1,5 +1,5 @@
 //! Renders a scene along the path of its own cameras with time stopped:
-//! `cargo run --release --example render_path SCENE OUT.mp4`.
+//! `cargo run --release -p minute4d --example render_path -- SCENE OUT.mp4`.
 
 use minute4d::m4_io::video::Mp4Writer;
 use minute4d::prelude::*;

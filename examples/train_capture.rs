@@ -1,5 +1,6 @@
 //! Trains a scene on a capture, from `minute4d geometry` or another tool (`minute4d import`), and
-//! exports it: `cargo run --release --example train_capture CAPTURE OUT.ply [ITERATIONS]`.
+//! exports it:
+//! `cargo run --release -p minute4d --example train_capture -- CAPTURE OUT.ply [ITERATIONS]`.
 
 #![expect(clippy::print_stdout, reason = "a program for a terminal")]
 

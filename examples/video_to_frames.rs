@@ -1,5 +1,5 @@
 //! Reconstructs a video, trains a scene and renders it from a camera beside the path:
-//! `cargo run --release --example video_to_frames CLIP FOLDER [SECONDS]`.
+//! `cargo run --release -p minute4d --example video_to_frames -- CLIP FOLDER [SECONDS]`.
 
 #![expect(
     clippy::print_stdout,
