@@ -96,8 +96,8 @@ pub fn loss(
     }
 }
 
-/// The mean over the channels of `|rgb - target|`, `[height][width]` (the error map: Minute4D Eq.
-/// 6). Panics if a plane of `rgb` does not hold as many values as the target.
+/// The mean over the channels of `|rgb - target|`, `[height][width]` (the error map:
+/// Minute4D Eq. 6). Panics if a plane of `rgb` does not hold as many values as the target.
 pub fn error_map(level: SimdLevel, target: &Target, rgb: &[Vec<f32>; 3], out: &mut Vec<f32>) {
     let pixels = target.width() * target.height();
     for plane in rgb {

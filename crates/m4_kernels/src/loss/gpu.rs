@@ -15,8 +15,10 @@ use crate::{
     loss::window,
 };
 use cubecl::prelude::*;
+pub use error_map::error_map;
 pub use frames::Frames;
 
+mod error_map;
 mod frames;
 
 const SSIM_C1: f32 = super::SSIM_C1 as f32;

@@ -178,8 +178,8 @@ fn nearest(geometry: &[f32], centres: &[f32], count: u32, i: u32, n: u32) -> f32
     square.sqrt()
 }
 
-/// Clones, splits and prunes: prune scores are normalised and compared with the threshold (Minute4D
-/// Eq. 10).
+/// Clones, splits and prunes: prune scores are normalised and compared with the threshold
+/// (Minute4D Eq. 10).
 #[cube(launch)]
 fn decide(
     geometry: &[f32],
