@@ -15,7 +15,7 @@ impl FreedMemory {
     ///
     /// The planes of a clip, a few hundred kilobytes each, lie in the heaps of threads, and the GNU
     /// allocator keeps the gaps that they leave: of 96 frames of 480x360 about a fifth of the peak
-    /// (docs/geometry.md, Memory). With other allocators this does nothing.
+    /// (docs/geometry-log.md, "Memory"). With other allocators this does nothing.
     pub fn give_back(&self) {
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if last.is_none_or(|last| last.elapsed() >= PERIOD) {

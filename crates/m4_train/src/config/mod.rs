@@ -30,8 +30,8 @@ pub struct TrainConfig {
     pub lambda_ssim: f32,
     /// In a clip with one centre of projection: weight of the growth of dynamic splats,
     /// [`m4_kernels::cover`], as the least difference in colour, 0..1, that is assumed between them
-    /// and what is behind. 0 for none. 0.015 (measured: docs/geometry.md, "Layers without
-    /// parallax").
+    /// and what is behind. 0 for none. 0.015 (measured: docs/geometry-log.md, "Layers
+    /// without parallax").
     pub cover: f32,
     /// How fast parameters move.
     pub lr: RateConfig,

@@ -43,7 +43,7 @@ pub enum VelocityInit {
     Register {
         /// Where the capture brings tracks, points near them go where they say, before the frames
         /// have their word (section 2.6; measured: 0.00 to +0.12 dB inside moving parts, +0.27 with
-        /// true depth; docs/geometry.md).
+        /// true depth; docs/geometry-log.md, "First velocities from tracks").
         tracks: bool,
     },
 }

@@ -10,7 +10,7 @@
 //! legs. A network that knows what things look like has the outline but does not know which objects
 //! are dynamic. Prompts as in Kirillov et al., "Segment Anything" (2023): a box, points and the
 //! logits of an earlier mask. What prompts contain and which answers are taken was measured with
-//! MobileSAM: docs/geometry.md.
+//! MobileSAM: docs/geometry-log.md, "Segmenters".
 
 use super::regions::{Components, to_outside};
 use super::sources::SourceError;

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What a pixel of the working size takes in a frame while the clip is worked on, bytes: 81 were
-/// measured with the planes of this module (docs/geometry.md), rounded up.
+/// measured with the planes of this module (docs/geometry-log.md, "Memory"), rounded up.
 const BYTES_PER_PIXEL: usize = 85;
 /// Sides below this show too little to work on.
 const LEAST_SIDE: usize = 160;

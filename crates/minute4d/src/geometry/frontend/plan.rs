@@ -85,9 +85,9 @@ const DEPTHS: [&[Part]; 5] = [
 ];
 
 /// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement
-/// (docs/geometry.md, "Front ends"); on a GPU that was asked for it is `megasam` where the weights
-/// of all of its parts are here. Fails if weights are missing, or if a requested GPU does not
-/// start.
+/// (docs/geometry-log.md, "Front ends"); on a GPU that was asked for it is `megasam` where the
+/// weights of all of its parts are here. Fails if weights are missing, or if a requested GPU does
+/// not start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let here = |part: Part| part == Part::Classical || installed(names(part)).is_some();
