@@ -124,7 +124,7 @@ fn poses_of_another_clip_are_rejected() {
             65,
             &["short.json", "10 poses", "12 frames"][..],
         ),
-        ("none.json", 66, &["none.json", "--poses"]),
+        ("none.json", 66, &["none.json", "given as poses"]),
     ] {
         dir.refused(&format!("{GEOMETRY} --poses {poses}"), code, words);
     }
@@ -205,7 +205,7 @@ fn given_masks_are_used_unchanged() {
     dir.refused(
         &format!("{GEOMETRY} --masks none"),
         66,
-        &["none", "--masks"],
+        &["none", "given as masks"],
     );
 }
 
@@ -379,7 +379,11 @@ fn poor_camera_motion_is_reported() {
         (
             (0..12).map(|i| noisy(&still, i)).collect(),
             "static",
-            &["appears to be static", "geometry is poor", "--depth"],
+            &[
+                "appears to be static",
+                "geometry is poor",
+                m4_core::advice::DEPTH,
+            ],
         ),
         (vec![still.clone(); 8], "static", &["appears to be static"]),
     ] {

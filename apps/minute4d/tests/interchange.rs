@@ -204,8 +204,12 @@ fn invalid_requests_are_rejected_with_a_hint() {
     );
     dir.write("a.spz", "\x1f");
     for (line, code, says) in [
-        ("export out --time 3", 2, "--time has no meaning for 4dgs"),
-        ("export out --fps 10", 2, "--fps has no meaning for 4dgs"),
+        ("export out --time 3", 2, "a time has no meaning for 4dgs"),
+        (
+            "export out --fps 10",
+            2,
+            "a rate (fps) has no meaning for 4dgs",
+        ),
         ("export out --format ply --time 99", 2, "frames 0 to 11"),
         ("export out --format ply --time soon", 2, "soon"),
         ("export out --format obj", 2, "choose one of 4dgs"),
