@@ -400,11 +400,15 @@ fn program(root: &Path, message: &Value) -> Option<Program> {
         text(&message["target"]["name"])?,
         text(&message["target"]["kind"][0])?,
     );
-    let package = folder
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned();
+    // `path+file:///folder#name@version`, or `...#version` where the folder has the package's name
+    let id = text(&message["package_id"])?;
+    let name = id
+        .rsplit_once('#')
+        .and_then(|(_, name)| name.split_once('@'));
+    let package = match name {
+        Some((name, _)) => name.to_owned(),
+        None => folder.file_name()?.to_string_lossy().into_owned(),
+    };
     Some(Program {
         name: format!("{package} ({kind} {target})"),
         path: path.into(),

@@ -112,8 +112,8 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Period of the first harmonic of time, frames: the length of the clip (docs/spec/optimiser.md
-    /// 1.8).
+    /// Period of the first harmonic of time, frames: the length of the clip
+    /// (docs/spec/optimiser.md 1.8).
     #[must_use]
     pub fn period_frames(&self) -> f64 {
         (self.time_frames.max(2) - 1) as f64

@@ -233,8 +233,8 @@ pub fn score_splats<T: Real>(n: usize, rendered: &Rendered<T>, weight: &[T]) -> 
     out
 }
 
-/// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (docs/spec/optimiser.md
-/// 8.4).
+/// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row
+/// (docs/spec/optimiser.md 8.4).
 pub fn expose<T: Real>(pixels: &[[T; CHANNELS]], exposure: &[[T; 4]; 3]) -> Vec<[T; 3]> {
     pixels
         .iter()

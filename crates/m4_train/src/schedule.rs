@@ -20,8 +20,8 @@ pub(crate) fn progress(i: usize, n: usize) -> f32 {
     (i as f64 / n.max(1) as f64).min(1.0) as f32
 }
 
-/// Period of the first harmonic of time, frames: the length of the video (docs/spec/optimiser.md
-/// 1.8).
+/// Period of the first harmonic of time, frames: the length of the video
+/// (docs/spec/optimiser.md 1.8).
 pub(crate) fn period(time_frames: usize) -> f32 {
     (time_frames.max(2) - 1) as f32
 }

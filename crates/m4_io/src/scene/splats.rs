@@ -130,8 +130,8 @@ pub(crate) fn collect(
 
 /// Opacities below this are not drawn at any place (the cut-off of the renderer, 1/255).
 const LEAST_OPACITY: f32 = 1.0 / 255.0;
-/// Splats whose marginal in time is at most this are left out of a frame (docs/spec/optimiser.md
-/// 1.3).
+/// Splats whose marginal in time is at most this are left out of a frame
+/// (docs/spec/optimiser.md 1.3).
 const LEAST_MARGINAL: f64 = 0.05;
 
 /// The splats that time `t` (frames) sees, all of them static: means moved along their velocities,

@@ -266,8 +266,8 @@ impl Default for RateConfig {
 }
 
 impl RateConfig {
-    /// Instant4D's rates: no velocity, no rotation, time as the reference (docs/spec/optimiser.md
-    /// 3; D7).
+    /// Instant4D's rates: no velocity, no rotation, time as the reference
+    /// (docs/spec/optimiser.md 3; D7).
     pub fn faithful() -> Self {
         Self {
             position: 1.6e-4,

@@ -4,8 +4,8 @@
 /// How large a voxel is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellSize {
-    /// `k * mean depth of the first frame / focal` everywhere (Instant4D; docs/spec/optimiser.md
-    /// 2.2).
+    /// `k * mean depth of the first frame / focal` everywhere (Instant4D;
+    /// docs/spec/optimiser.md 2.2).
     Constant,
     /// `k * distance to the nearest camera / focal`, in steps of a factor `sqrt(2)`: the same
     /// number of pixels at every depth (docs/spec/optimiser.md 2.2, our variant).
@@ -85,8 +85,8 @@ pub struct InitConfig {
     pub max_dynamic: usize,
     /// Edge of static voxels, pixels; dynamic points are then merged only where there are more than
     /// `max_dynamic`. `None`: the least edge from 1.25 on, for each of the two, that keeps to the
-    /// numbers above. 6 for DyCheck, 4 for NVIDIA, 2 for DAVIS (Instant4D; docs/spec/optimiser.md
-    /// 2.2).
+    /// numbers above. 6 for DyCheck, 4 for NVIDIA, 2 for DAVIS (Instant4D;
+    /// docs/spec/optimiser.md 2.2).
     pub voxel_px: Option<f32>,
     /// Constant or depth-proportional voxels.
     pub cells: CellSize,
@@ -113,8 +113,8 @@ pub struct InitConfig {
     /// Splats on a shell behind everything, coloured by what was seen in their direction (our
     /// rule). 0 for none.
     pub shell_splats: usize,
-    /// One scale a splat and no rotation (the paper's choice, as Instant4D; docs/spec/optimiser.md
-    /// 1.5).
+    /// One scale a splat and no rotation (the paper's choice, as Instant4D;
+    /// docs/spec/optimiser.md 1.5).
     pub isotropic: bool,
     /// Static points become rows with time parameters that fade towards the ends, as in the
     /// reference (docs/spec/optimiser.md 2.4); else they have no time at all.

@@ -4,9 +4,9 @@
 use super::luma::{Pyramid, sample_square};
 use m4_core::Plane;
 
-/// Reach of the patch that is followed, working pixels: 5 for a side of 11. docs/spec/front-end.md
-/// 7.1 has a side of 21; 11 gave trajectories as good or better, and is faster
-/// (docs/decisions/0001).
+/// Reach of the patch that is followed, working pixels: 5 for a side of 11.
+/// docs/spec/front-end.md 7.1 has a side of 21; 11 gave trajectories as good or better, and is
+/// faster (docs/decisions/0001).
 pub(super) const RADIUS: usize = 5;
 /// Gauss-Newton steps per level.
 const ITERATIONS: usize = 12;

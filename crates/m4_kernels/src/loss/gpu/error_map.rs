@@ -1,8 +1,4 @@
 //! Minute4D Eq. 6 on the GPU: the error of each pixel.
-#![expect(
-    missing_docs,
-    reason = "`cube` generates items beside those that it is written at"
-)]
 
 use super::target_at;
 use crate::gpu::Gpu;
@@ -10,8 +6,8 @@ use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::launch;
 use cubecl::prelude::*;
 
-/// Writes the mean over the channels of the absolute differences of `image` (three planes of f32) and
-/// `frame` (bytes, as [`super::Frames`] has them), a number per pixel, and the smallest and the
+/// Writes the mean over the channels of the absolute differences of `image` (three planes of f32)
+/// and `frame` (bytes, as [`super::Frames`] has them), a number per pixel, and the smallest and the
 /// largest of each cube of 256 pixels.
 pub fn error_map(gpu: &Gpu, image: &Buffer, frame: &Buffer, [errors, extremes]: [&Buffer; 2]) {
     let (client, pixels) = (&gpu.client, errors.len());

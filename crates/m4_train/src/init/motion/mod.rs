@@ -1,5 +1,5 @@
-//! Initial motion: moves the dynamic points of a keyframe to the next one (docs/spec/optimiser.md
-//! 2.6).
+//! Initial motion: moves the dynamic points of a keyframe to the next one
+//! (docs/spec/optimiser.md 2.6).
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
