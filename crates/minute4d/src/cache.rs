@@ -105,11 +105,11 @@ mod tests {
     }
 
     fn step(steps: &Steps<'_>, value: f64) -> f64 {
-        let made = steps.keep("cameras", |progress| {
+        let result = steps.keep("cameras", |progress| {
             progress.warn("blurred");
             Ok::<_, Infallible>(value)
         });
-        made.unwrap()
+        result.unwrap()
     }
 
     #[test]

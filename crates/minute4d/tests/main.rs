@@ -105,10 +105,10 @@ fn opacities(times: &[f64]) -> Vec<f64> {
             },
         );
         let inside = (0..SIZE.0 * SIZE.1).filter(|i| covers(i % SIZE.0, i / SIZE.0, t, 0.06));
-        let seen: Vec<f64> = inside
+        let opacities: Vec<f64> = inside
             .map(|i| 1.0 - f64::from(frame.transmittance[i]))
             .collect();
-        seen.iter().sum::<f64>() / seen.len() as f64
+        opacities.iter().sum::<f64>() / opacities.len() as f64
     };
     (10..=90).map(|k| 0.1 * f64::from(k)).map(at).collect()
 }
@@ -130,13 +130,13 @@ fn opacity_is_constant_between_frames() {
         (without(&[4.0]), 0.1),
         (without(&[7.0, 8.0]), 0.1),
     ] {
-        let seen = opacities(&times);
-        let (low, high) = seen
+        let values = opacities(&times);
+        let (low, high) = values
             .iter()
             .fold((1.0f64, 0.0f64), |(l, h), &v| (l.min(v), h.max(v)));
         assert!(
             low > 0.89 && high - low < most,
-            "{} frames: {low:.4} to {high:.4}: {seen:.3?}",
+            "{} frames: {low:.4} to {high:.4}: {values:.3?}",
             times.len()
         );
     }
@@ -226,8 +226,8 @@ fn the_quantised_page_renders_like_the_scene() {
                 "{of_static} {of_dynamic}"
             );
         }
-        let found = least_psnr_db(&synthetic(layout));
-        println!("{layout:?}: {found:.2} dB");
-        assert!(found >= 50.0, "{layout:?}: {found} dB");
+        let psnr_db = least_psnr_db(&synthetic(layout));
+        println!("{layout:?}: {psnr_db:.2} dB");
+        assert!(psnr_db >= 50.0, "{layout:?}: {psnr_db} dB");
     }
 }

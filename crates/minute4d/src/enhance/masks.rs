@@ -28,7 +28,7 @@ pub fn masks<'a>(
         .frames
         .into_iter()
         .zip(images)
-        .map(|(found, image)| at_size(found, image.size()));
+        .map(|(frame, image)| at_size(frame, image.size()));
     Ok((frames.collect(), refined.report))
 }
 
@@ -67,10 +67,10 @@ fn coarse(capture: &Capture) -> Result<Coarse<'_>, Refusal> {
 }
 
 /// A frame at another size: each pixel that of the working size in which its middle lies.
-fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask, CompactIds) {
-    let (w, h) = found.mask.size();
+fn at_size(refined: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask, CompactIds) {
+    let (w, h) = refined.mask.size();
     if (w, h) == (width, height) {
-        return (found.mask, found.ids);
+        return (refined.mask, refined.ids);
     }
     let at = |x: usize, y: usize| {
         (
@@ -78,8 +78,8 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
             (2 * y + 1) * h / (2 * height),
         )
     };
-    let ids = found.ids.to_plane();
-    let masks = found.mask.to_mask();
+    let ids = refined.ids.to_plane();
+    let masks = refined.mask.to_mask();
     let mask = CompactMask::from_fn(width, height, |x, y| masks[at(x, y)] != 0);
     (
         mask,
@@ -137,9 +137,9 @@ mod tests {
 
     #[test]
     fn a_capture_gets_numbers_that_are_written_and_read() {
-        let mut found = capture(12);
-        let (frames, report) = refined(&found, &RefineSettings::default()).unwrap();
-        for (frame, (mask, ids)) in found.frames.iter_mut().zip(frames) {
+        let mut capture = capture(12);
+        let (frames, report) = refined(&capture, &RefineSettings::default()).unwrap();
+        for (frame, (mask, ids)) in capture.frames.iter_mut().zip(frames) {
             (frame.mask, frame.instances) = (Some(mask), Some(ids));
         }
         assert_eq!(
@@ -150,7 +150,7 @@ mod tests {
             (report.instances[0].frames, report.instances[0].id),
             (12, 1)
         );
-        for (i, frame) in found.frames.iter().enumerate() {
+        for (i, frame) in capture.frames.iter().enumerate() {
             let ids = frame.instances.as_ref().unwrap();
             assert_eq!(
                 (ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)),
@@ -160,7 +160,7 @@ mod tests {
             assert!(frame.mask.as_ref().unwrap().at(20 + 2 * i, 30));
         }
         let dir = tempfile::tempdir().unwrap();
-        write(dir.path(), &found, Some(&report), &Silent).unwrap();
+        write(dir.path(), &capture, Some(&report), &Silent).unwrap();
         let again = m4_io::capture::read(
             dir.path(),
             Split::Train,
@@ -168,7 +168,7 @@ mod tests {
             &Silent,
         )
         .unwrap();
-        for (a, b) in again.frames.iter().zip(&found.frames) {
+        for (a, b) in again.frames.iter().zip(&capture.frames) {
             assert_eq!((&a.instances, &a.mask), (&b.instances, &b.mask));
         }
         let text = std::fs::read(dir.path().join(OBJECTS_FILE)).unwrap();
@@ -180,9 +180,9 @@ mod tests {
 
     #[test]
     fn a_frame_that_says_nothing_is_named() {
-        let mut given = capture(4);
-        given.frames[2].mask = None;
-        let error = refined(&given, &RefineSettings::default()).unwrap_err();
+        let mut incomplete = capture(4);
+        incomplete.frames[2].mask = None;
+        let error = refined(&incomplete, &RefineSettings::default()).unwrap_err();
         assert!(
             matches!(error, Error::Refused(_)) && error.to_string().contains("00002"),
             "{error}"

@@ -87,10 +87,10 @@ pub fn apply(
         Tracking::Tapip3d(_) => true,
     };
     if follows {
-        let found = steps.keep("tracks", |progress| {
+        let tracks = steps.keep("tracks", |progress| {
             tracked(&capture, &plan.tracking, settings, device, progress)
         })?;
-        capture.tracks = (found.count() > 0).then_some(found);
+        capture.tracks = (tracks.count() > 0).then_some(tracks);
     }
     Ok((capture, report))
 }

@@ -158,8 +158,8 @@ fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) ->
     if !mask.is_there() {
         return ObjectMask::unseen(object, size, false);
     }
-    let found = mask.mask_at(size);
-    let mask = CompactMask::from_fn(size.0, size.1, |x, y| found[(x, y)]);
+    let pixels = mask.mask_at(size);
+    let mask = CompactMask::from_fn(size.0, size.1, |x, y| pixels[(x, y)]);
     ObjectMask {
         object,
         mask,
@@ -208,7 +208,7 @@ pub(super) fn tapip3d(
             world: query.xyz.map(f64::from),
         })
         .collect();
-    let found = net
+    let output = net
         .track(&Frames(clip), &asked, options, progress)
         .map_err(|error| match error {
             NetError::Cancelled => TrackError::Cancelled {
@@ -222,9 +222,9 @@ pub(super) fn tapip3d(
     // the network's are ordered by query, ours by frame
     let count = queries.len();
     let at = |i: usize| i % count.max(1) * frames + i / count.max(1);
-    let (xyz, seen): (Vec<_>, Vec<f32>) = (0..frames * count)
-        .map(|i| (found.world[at(i)], found.visibility[at(i)]))
+    let (xyz, visibility): (Vec<_>, Vec<f32>) = (0..frames * count)
+        .map(|i| (output.world[at(i)], output.visibility[at(i)]))
         .unzip();
-    let visible = seen.iter().map(|&p| p >= SEEN_FROM).collect();
-    Ok(Tracks::new(frames, count, xyz, visible)?.with_confidence(&seen)?)
+    let visible = visibility.iter().map(|&p| p >= SEEN_FROM).collect();
+    Ok(Tracks::new(frames, count, xyz, visible)?.with_confidence(&visibility)?)
 }

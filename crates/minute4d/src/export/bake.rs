@@ -147,7 +147,7 @@ fn mean_factor(
     for k in 0..count {
         let view = &views[(2 * k + 1) * views.len() / (2 * count)];
         let (mean, covariance, weight) = at(view.t);
-        let Some(seen) = project(
+        let Some(projection) = project(
             &mean,
             &covariance,
             &view.camera,
@@ -159,11 +159,11 @@ fn mean_factor(
         // a weight of 0 (far outside the clip) would leave nothing to divide by
         let weight = weight.max(f64::MIN_POSITIVE);
         let add = |sum: &mut (f64, f64)| {
-            sum.0 += weight * seen.compensation;
+            sum.0 += weight * projection.compensation;
             sum.1 += weight;
         };
         add(&mut in_front);
-        if (0..2).all(|k| (-0.5..view.size_px[k] - 0.5).contains(&seen.centre[k])) {
+        if (0..2).all(|k| (-0.5..view.size_px[k] - 0.5).contains(&projection.centre[k])) {
             add(&mut inside);
         }
     }

@@ -309,8 +309,8 @@ impl FromStr for Format {
     type Err = Refusal;
 
     fn from_str(text: &str) -> Result<Self, Refusal> {
-        let found = FORMATS.iter().find(|entry| entry.1 == text);
-        found.map(|entry| entry.0).ok_or_else(|| {
+        let row = FORMATS.iter().find(|entry| entry.1 == text);
+        row.map(|entry| entry.0).ok_or_else(|| {
             let names = Self::names();
             Refusal::usage(format!("{text:?} is not a format; choose one of {names}"))
         })

@@ -25,24 +25,25 @@ pub(super) fn unbind(scene: &Scene, format: Format, t: f64) -> Option<(Scene, Lo
         Time::Sequence | Time::Capture => None,
         Time::Instant => {
             let splats = pose::at(&scene.splats, t as f32).into_owned();
-            let there = splats.n_static() - scene.splats.n_static();
+            let n_live = splats.n_static() - scene.splats.n_static();
             let what = format!(
-                "the motion of {bound} splats that nodes carry, at frame {t}: {there} of them live then"
+                "the motion of {bound} splats that nodes carry, at frame {t}: {n_live} of them live then"
             );
             Some((of(splats), Loss::Baked(what)))
         }
         Time::Clip => {
             let pixels = Pixels::of(scene);
             let clip = [0.0, scene.time_frames.saturating_sub(1) as f64];
-            let made = pose::pieces(
+            let pieces = pose::pieces(
                 &scene.splats,
                 clip,
                 |place, t| pixels.size(place, t),
                 TOLERANCE_PX,
             );
             let error = |share: f64| {
-                let last = made.errors_px.len().saturating_sub(1) as f64;
-                made.errors_px
+                let last = pieces.errors_px.len().saturating_sub(1) as f64;
+                pieces
+                    .errors_px
                     .get((share * last).round() as usize)
                     .copied()
                     .unwrap_or(0.0)
@@ -61,9 +62,9 @@ pub(super) fn unbind(scene: &Scene, format: Format, t: f64) -> Option<(Scene, Lo
             let what = format!(
                 "the motion of {bound} splats that nodes carry, into {} on straight lines; {off}; rotations and trends of colours are those of the middle of \
                  a piece",
-                made.count
+                pieces.count
             );
-            Some((of(made.splats), Loss::Baked(what)))
+            Some((of(pieces.splats), Loss::Baked(what)))
         }
     }
 }
@@ -95,11 +96,11 @@ impl Pixels {
             .iter()
             .min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs()));
         nearest.map_or(0.0, |(_, w2c, focal_px)| {
-            let seen = w2c.transform(place);
-            let depth = if seen.z > self.near {
-                seen.z
+            let point = w2c.transform(place);
+            let depth = if point.z > self.near {
+                point.z
             } else {
-                seen.norm().max(self.near)
+                point.norm().max(self.near)
             };
             depth / focal_px
         })
@@ -121,19 +122,21 @@ mod tests {
     fn each_format_gets_splats_that_it_has() {
         let scene = bound_scene(&SceneSpec::default());
         for format in Format::all() {
-            let made = unbind(&scene, format, 3.0);
+            let result = unbind(&scene, format, 3.0);
             let keeps = matches!(format, Format::PlySequence | Format::Colmap);
-            assert_eq!(made.is_none(), keeps, "{format:?}");
-            let Some((made, loss)) = made else { continue };
-            assert!(made.splats.bindings().is_empty());
+            assert_eq!(result.is_none(), keeps, "{format:?}");
+            let Some((output, loss)) = result else {
+                continue;
+            };
+            assert!(output.splats.bindings().is_empty());
             assert!(
                 loss.to_string().contains("20 splats that nodes carry"),
                 "{loss}"
             );
         }
-        let (made, loss) = unbind(&scene, Format::Fourdgs, 0.0).unwrap();
+        let (output, loss) = unbind(&scene, Format::Fourdgs, 0.0).unwrap();
         assert!(
-            made.splats.n_dynamic() > 60 && loss.to_string().contains("95 % by up to 0."),
+            output.splats.n_dynamic() > 60 && loss.to_string().contains("95 % by up to 0."),
             "{loss}"
         );
         assert!(unbind(&random_scene(&SceneSpec::default()), Format::Fourdgs, 0.0).is_none());
@@ -141,7 +144,7 @@ mod tests {
         blind.source.clear();
         let (finest, loss) = unbind(&blind, Format::Fourdgs, 0.0).unwrap();
         assert!(
-            finest.splats.n_dynamic() > made.splats.n_dynamic()
+            finest.splats.n_dynamic() > output.splats.n_dynamic()
                 && loss.to_string().contains("no cameras")
         );
     }

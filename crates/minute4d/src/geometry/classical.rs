@@ -21,7 +21,7 @@ pub(super) fn compute(
     clip: Clip,
     context: &Context<'_>,
 ) -> Result<(Capture, GeometrySummary), Error> {
-    let (pass, found) = Reconstruction::new(&clip, context)?.run()?;
+    let (pass, summary) = Reconstruction::new(&clip, context)?.run()?;
     let (cameras, dense) = (pass.recovered.sparse.cameras, pass.dense);
     let frames = cameras
         .into_iter()
@@ -32,7 +32,7 @@ pub(super) fn compute(
             mask: dense.mask.into(),
             motion: None,
         });
-    Ok((clip.capture(frames, pass.metric, dense.tracks), found))
+    Ok((clip.capture(frames, pass.metric, dense.tracks), summary))
 }
 
 /// A clip with the sources of flow, masks and depth.
@@ -110,14 +110,14 @@ impl<'a> Reconstruction<'a> {
                 rounds = 2;
             }
         }
-        let found = self.summary(&pass, rounds);
-        Ok((pass, found))
+        let summary = self.summary(&pass, rounds);
+        Ok((pass, summary))
     }
 
     /// Tracks and cameras.
     fn cameras(&self) -> Result<(FeatureTracks, Recovered), Error> {
         let (images, config, masks) = (&self.images, &self.config, self.given.masks.as_deref());
-        let found = self.context.steps.keep("cameras", |observer| {
+        let result = self.context.steps.keep("cameras", |observer| {
             let followed = sparse::track_features(images, config, observer)?;
             let recovered = match &self.given.cameras {
                 Some(cameras) => followed.with_cameras(cameras, masks, config, observer)?,
@@ -125,7 +125,7 @@ impl<'a> Reconstruction<'a> {
             };
             Ok::<_, sparse::SparseError>((followed, recovered))
         })?;
-        Ok(found)
+        Ok(result)
     }
 
     /// Sets the unit of length, and estimates depth, masks and tracks as the step `name`.
@@ -176,7 +176,7 @@ impl<'a> Reconstruction<'a> {
     /// Grades the result, warns of a doubtful one, and describes it.
     fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
         let (sparse, dense, methods) = (&pass.recovered.sparse, &pass.dense, self.context.methods);
-        let known = self
+        let known_depth = self
             .given
             .depth
             .as_ref()
@@ -190,7 +190,13 @@ impl<'a> Reconstruction<'a> {
                     / pixels as f64
             });
         let masked = self.given.masks.is_some();
-        let confidence = Confidence::of(sparse, pass.recovered.focal, &dense.frames, masked, known);
+        let confidence = Confidence::of(
+            sparse,
+            pass.recovered.focal,
+            &dense.frames,
+            masked,
+            known_depth,
+        );
         if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
             let warning = format!("geometry is {}: {advice}", confidence.grade.name());
             self.context.observer().warn(&warning);

@@ -78,7 +78,7 @@ impl Clip {
     /// The capture of these frames; lengths are metres if `metric`.
     pub fn capture(
         self,
-        found: impl Iterator<Item = FrameGeometry>,
+        geometries: impl Iterator<Item = FrameGeometry>,
         metric: bool,
         tracks: Option<Tracks>,
     ) -> Capture {
@@ -88,17 +88,17 @@ impl Clip {
             .video
             .frames
             .into_iter()
-            .zip(found)
+            .zip(geometries)
             .zip(moments)
             .enumerate();
-        let frames = frames.map(|(i, ((frame, found), t))| CaptureFrame {
+        let frames = frames.map(|(i, ((frame, geometry), t))| CaptureFrame {
             name: format!("{i:05}"),
-            camera: found.camera,
+            camera: geometry.camera,
             t,
             rgb: frame.rgb,
-            depth: Some(found.depth),
-            mask: Some(found.mask),
-            motion: found.motion,
+            depth: Some(geometry.depth),
+            mask: Some(geometry.mask),
+            motion: geometry.motion,
             instances: None,
             camera_index: None,
         });
@@ -139,25 +139,25 @@ const MOST_FRAMES: usize = 240;
 /// How many frames are kept, and how many are read for geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Between {
-    kept: Option<usize>,
-    read: Option<usize>,
+    n_kept: Option<usize>,
+    n_read: Option<usize>,
 }
 
 impl Between {
     /// Reads no more than is kept where the user gives data per frame, and where networks run,
     /// which follow longer steps and cost more per frame than all the rest.
     pub fn of(settings: &Settings, plan: &Plan) -> Self {
-        let kept = settings.video.max_frames;
+        let n_kept = settings.video.max_frames;
         let small_steps =
             !plan.is_megasam() && plan.used.is_empty() && !settings.geometry.any_given();
-        let read = kept.map(|kept| if small_steps { to_read(kept) } else { kept });
-        Self { kept, read }
+        let n_read = n_kept.map(|n_kept| if small_steps { to_read(n_kept) } else { n_kept });
+        Self { n_kept, n_read }
     }
 
     /// The options with which the clip is read.
     pub fn to_read(self, video: &VideoOptions) -> VideoOptions {
         VideoOptions {
-            max_frames: self.read,
+            max_frames: self.n_read,
             ..video.clone()
         }
     }
@@ -165,7 +165,7 @@ impl Between {
     /// Keeps the frames that were asked for, with their times; tracks lose the others.
     pub fn keep(self, capture: Capture, observer: &dyn Progress) -> Result<Capture, Error> {
         let all = capture.frames.len();
-        let chosen = evenly(all, self.kept);
+        let chosen = evenly(all, self.n_kept);
         if chosen.len() == all {
             return Ok(capture);
         }
@@ -190,14 +190,15 @@ impl Between {
     }
 }
 
-/// Frames to read so that every step between two of `kept` frames has up to [`MOST_PER_STEP`]
+/// Frames to read so that every step between two of `n_kept` frames has up to [`MOST_PER_STEP`]
 /// parts.
-fn to_read(kept: usize) -> usize {
-    let per_step = (MOST_FRAMES / kept.max(1)).clamp(1, MOST_PER_STEP);
+fn to_read(n_kept: usize) -> usize {
+    let per_step = (MOST_FRAMES / n_kept.max(1)).clamp(1, MOST_PER_STEP);
     // At least one frame must be kept: the reader refuses 0.
-    kept.saturating_sub(1)
+    n_kept
+        .saturating_sub(1)
         .saturating_mul(per_step)
-        .saturating_add(kept.min(1))
+        .saturating_add(n_kept.min(1))
 }
 
 #[cfg(test)]
@@ -212,18 +213,18 @@ mod tests {
     fn steps_have_four_parts_while_memory_allows() {
         assert_eq!([0, 1, 2, 24].map(to_read), [0, 1, 5, 93]);
         assert_eq!([100, 200, 241, 1000].map(to_read), [199, 200, 241, 1000]);
-        for kept in 2..MOST_FRAMES {
-            let read = to_read(kept);
-            assert!((kept..=MOST_FRAMES).contains(&read), "{kept}: {read}");
+        for n_kept in 2..MOST_FRAMES {
+            let read = to_read(n_kept);
+            assert!((n_kept..=MOST_FRAMES).contains(&read), "{n_kept}: {read}");
             // The frames of a long clip that are kept are the same with and without those between.
             let clip = 10 * (read - 1) + 1;
             let all = evenly(clip, Some(read));
-            let direct = evenly(clip, Some(kept));
-            let kept: Vec<usize> = evenly(all.len(), Some(kept))
+            let direct = evenly(clip, Some(n_kept));
+            let indices: Vec<usize> = evenly(all.len(), Some(n_kept))
                 .iter()
                 .map(|&i| all[i])
                 .collect();
-            assert_eq!(kept, direct);
+            assert_eq!(indices, direct);
         }
     }
 
@@ -236,8 +237,8 @@ mod tests {
             ..plain_clip(9, (2, 1))
         };
         let between = Between {
-            kept: Some(3),
-            read: Some(9),
+            n_kept: Some(3),
+            n_read: Some(9),
         };
         let thin = between.keep(capture.clone(), &Silent).unwrap();
         let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();
@@ -248,8 +249,8 @@ mod tests {
             (3, Some([4.0, 0.0, 1.0]))
         );
         let all = Between {
-            kept: Some(20),
-            read: Some(77),
+            n_kept: Some(20),
+            n_read: Some(77),
         };
         assert_eq!(all.keep(capture, &Silent).unwrap().frames.len(), 9);
     }

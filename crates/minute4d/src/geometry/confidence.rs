@@ -133,7 +133,7 @@ impl Confidence {
             focal: source,
             focal_sigma_percent: sigma.map(|s| 100.0 * s),
             residual_px: sparse.residual_px,
-            measured_share: known_depth.map_or(measured, |known| known.max(measured)),
+            measured_share: known_depth.map_or(measured, |share| share.max(measured)),
         };
         let around = Circumstances {
             camera_motion: sparse.camera_motion,
@@ -261,8 +261,8 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
         let Some(point) = track.point else { continue };
         let last = track.observations.len().saturating_sub(1);
         let step = (last / (VIEWS - 1)).max(1);
-        let seen = (0..=last).step_by(step).chain([last]);
-        let cameras = seen.filter_map(|k| sparse.cameras.get(track.first_frame + k));
+        let frames = (0..=last).step_by(step).chain([last]);
+        let cameras = frames.filter_map(|k| sparse.cameras.get(track.first_frame + k));
         let rays: Vec<_> = cameras.map(|c| (point - c.centre()).normalize()).collect();
         let pairs = rays
             .iter()
@@ -306,11 +306,11 @@ mod tests {
             |change: &dyn Fn(&mut Confidence), around: Circumstances, grade: Grade, word: &str| {
                 let mut c = FINE.clone();
                 change(&mut c);
-                let (found, advice) = c.judge(around);
+                let (actual, advice) = c.judge(around);
                 let advice = advice.unwrap_or_default();
                 assert!(
-                    found == grade && advice.contains(word),
-                    "{found:?} {advice} for {c:?}"
+                    actual == grade && advice.contains(word),
+                    "{actual:?} {advice} for {c:?}"
                 );
             };
         weak(&|c| c.parallax_deg = 1.0, MOVING, Grade::Fair, "sideways");
@@ -341,13 +341,13 @@ mod tests {
             Grade::Poor,
             "is static",
         );
-        let given = Circumstances {
+        let with_depth = Circumstances {
             depth_given: true,
             ..tripod
         };
         weak(
             &|c| c.focal = Focal::Assumed,
-            given,
+            with_depth,
             Grade::Fair,
             FIELD_OF_VIEW,
         );

@@ -17,16 +17,17 @@ pub(super) fn set_unit(
     posed: bool,
     observer: &dyn Progress,
 ) -> Result<bool, Refusal> {
-    let Some((given, maps)) = mono.and_then(|mono| Some((mono.given, mono.metric_m.as_deref()?)))
+    let Some((depth_given, maps)) =
+        mono.and_then(|mono| Some((mono.given, mono.metric_m.as_deref()?)))
     else {
         return Ok(false);
     };
-    if sparse.camera_motion != CameraMotion::Parallax || (posed && !given) {
-        return Ok(given);
+    if sparse.camera_motion != CameraMotion::Parallax || (posed && !depth_given) {
+        return Ok(depth_given);
     }
-    let few = |found| {
+    let few = |count| {
         format!(
-            "the depth maps know only {found} of the points that were reconstructed, {NEEDED} are needed"
+            "the depth maps know only {count} of the points that were reconstructed, {NEEDED} are needed"
         )
     };
     match depth_ratio(sparse, maps) {
@@ -35,12 +36,12 @@ pub(super) fn set_unit(
             "given depth and given poses have different units: points are {ratio:.3} times as far away by the depth maps (millimetres in \
              the files) as by the poses; give poses in metres"
         )),
-        Err(found) if given && !posed => {
-            let message = format!("{}; give poses in metres too, or depth maps with fewer holes", few(found));
+        Err(count) if depth_given && !posed => {
+            let message = format!("{}; give poses in metres too, or depth maps with fewer holes", few(count));
             return Err(Refusal::bad_input(message));
         }
-        Err(found) if !given => {
-            observer.warn(&format!("lengths stay without unit: {}", few(found)));
+        Err(count) if !depth_given => {
+            observer.warn(&format!("lengths stay without unit: {}", few(count)));
             return Ok(false);
         }
         _ => {}
@@ -77,11 +78,11 @@ pub(super) fn rescale(sparse: &SparseReconstruction, by: f64) -> SparseReconstru
 /// of points with depth if these are too few.
 fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64, usize> {
     let mut ratios = Vec::new();
-    let mut found = 0;
+    let mut count = 0;
     for track in &sparse.tracks {
         let Some(point) = track.point else { continue };
         let before = ratios.len();
-        for (frame, seen) in (track.first_frame..).zip(&track.observations) {
+        for (frame, observation) in (track.first_frame..).zip(&track.observations) {
             let (Some(camera), Some(map)) = (sparse.cameras.get(frame), depth.get(frame)) else {
                 break;
             };
@@ -90,20 +91,20 @@ fn depth_ratio(sparse: &SparseReconstruction, depth: &[DepthMap]) -> Result<f64,
                 let at = (f64::from(at) + 0.5) / side as f64 * cells as f64;
                 (at.max(0.0) as usize).min(cells.saturating_sub(1))
             };
-            let given = map[(
-                cell(seen[0], k.width, map.width()),
-                cell(seen[1], k.height, map.height()),
+            let map_depth = map[(
+                cell(observation[0], k.width, map.width()),
+                cell(observation[1], k.height, map.height()),
             )];
             let (_, z) = camera.project(&point);
-            if given > 0.0 && given.is_finite() && z > 0.0 {
-                ratios.push(f64::from(given) / z);
+            if map_depth > 0.0 && map_depth.is_finite() && z > 0.0 {
+                ratios.push(f64::from(map_depth) / z);
             }
         }
-        found += usize::from(ratios.len() > before);
+        count += usize::from(ratios.len() > before);
     }
     match median(&mut ratios) {
-        Some(ratio) if found >= NEEDED => Ok(ratio),
-        _ => Err(found),
+        Some(ratio) if count >= NEEDED => Ok(ratio),
+        _ => Err(count),
     }
 }
 

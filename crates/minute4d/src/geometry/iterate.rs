@@ -40,7 +40,7 @@ pub(super) fn without_masked(
         .iter_mut()
         .map(|f| std::mem::replace(&mut f.mask, Plane::filled(0, 0, 0)))
         .collect();
-    let mut found = None;
+    let mut result = None;
     if worth(first, &masks) {
         let observer = steps.observer();
         observer.update(PHASE, 0, 1, "");
@@ -62,12 +62,12 @@ pub(super) fn without_masked(
             format!("projections differ by {shift_px:.2} px, {percent:.1} % of tracks are classified differently")
         });
         observer.update(PHASE, 1, 1, &note);
-        found = second.filter(|_| change.is_some_and(|change| change.matters()));
+        result = second.filter(|_| change.is_some_and(|change| change.matters()));
     }
     for (frame, mask) in frames.iter_mut().zip(masks) {
         frame.mask = mask;
     }
-    Ok(found)
+    Ok(result)
 }
 
 /// Passes on all but warnings.
@@ -186,13 +186,13 @@ fn shift_px(
     }
     let mut shifts: Vec<Vec<f64>> = vec![Vec::new(); first.cameras.len()];
     for (_, point, track) in &points {
-        let there = world.transform(point);
+        let point_in_first = world.transform(point);
         let cameras = first.cameras.iter().zip(&second.cameras).enumerate();
         for (frame, (a, b)) in cameras
             .skip(track.first_frame)
             .take(track.observations.len())
         {
-            let ((p, z), (q, w)) = (a.project(&there), b.project(point));
+            let ((p, z), (q, w)) = (a.project(&point_in_first), b.project(point));
             shifts[frame].push(if z > 0.0 && w > 0.0 {
                 (p[0] - q[0]).hypot(p[1] - q[1])
             } else {
@@ -200,17 +200,17 @@ fn shift_px(
             });
         }
     }
-    let known = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME);
-    known.filter_map(|s| median(s)).fold(0.0, f64::max)
+    let shift_lists = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME);
+    shift_lists.filter_map(|s| median(s)).fold(0.0, f64::max)
 }
 
 /// Whether most of a track lies within masks (above 0) of the size of the frames.
 fn within(masks: &[Mask], track: &Track) -> bool {
-    let seen = masks
+    let observations = masks
         .iter()
         .skip(track.first_frame)
         .zip(&track.observations);
-    let inside = seen.filter(|(mask, at)| {
+    let inside = observations.filter(|(mask, at)| {
         let cell = |v: f32, n: usize| ((v + 0.5).max(0.0) as usize).min(n.saturating_sub(1));
         mask[(cell(at[0], mask.width()), cell(at[1], mask.height()))] > 0
     });
@@ -261,12 +261,12 @@ mod tests {
         let cameras: Vec<Camera> = (0..12).map(camera).collect();
         let track = |i: usize| {
             let point = Vector3::new(rng.normal(), 0.7 * rng.normal(), 3.0 + 3.0 * rng.uniform());
-            let seen = cameras
+            let pixels = cameras
                 .iter()
                 .map(|c| c.project(&point).0.map(|v| v as f32));
             Track {
                 first_frame: 0,
-                observations: seen.collect(),
+                observations: pixels.collect(),
                 motion: if i.is_multiple_of(10) {
                     Motion::Dynamic
                 } else {

@@ -38,9 +38,9 @@ pub(super) fn compute(
         Some(_) => None,
         None => plan.depth(&images, known_focal_px, device, steps)?,
     };
-    let known = given.depth.as_ref().or(mono.as_ref());
-    let prior = known.map(|mono: &MonoClip| mono.prior(&size)).transpose()?;
-    let fov_rad = known.and_then(|mono| mono.fov_rad);
+    let depth = given.depth.as_ref().or(mono.as_ref());
+    let prior = depth.map(|mono: &MonoClip| mono.prior(&size)).transpose()?;
+    let fov_rad = depth.and_then(|mono| mono.fov_rad);
     drop(mono);
     let lens = given.lens.unwrap_or_else(|| {
         let fov_rad = fov_rad.unwrap_or(settings.default_fov_deg.to_radians());
@@ -81,14 +81,14 @@ pub(super) fn compute(
     let given_names = given.names();
     let frames = frames(&geometry, full, clip.given.masks.take());
     let capture = clip.capture(frames, geometry.metric, None);
-    let found = summary(&capture, &geometry, context, given_names);
-    if found.moving_share > TOO_MUCH_MOTION {
+    let summary = summary(&capture, &geometry, context, given_names);
+    if summary.moving_share > TOO_MUCH_MOTION {
         observer.warn(&format!(
             "{:.0} % of all pixels count as moving; if that is wrong, {MASKS}",
-            100.0 * found.moving_share
+            100.0 * summary.moving_share
         ));
     }
-    Ok((capture, found))
+    Ok((capture, summary))
 }
 
 fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Progress) {
@@ -139,7 +139,7 @@ fn summary(
     capture: &Capture,
     geometry: &MegasamGeometry,
     context: &Context<'_>,
-    given: Vec<String>,
+    given_names: Vec<String>,
 ) -> GeometrySummary {
     let plan = &context.methods.frontend;
     let lens = geometry.lens;
@@ -161,7 +161,7 @@ fn summary(
         keyframes: Some(geometry.keyframes.clone()),
         megasam_units_a_metre: geometry.metric.then_some(geometry.norm),
         segmenter: "none".to_owned(),
-        given,
+        given: given_names,
         rounds: 1,
         ..GeometrySummary::default()
     }

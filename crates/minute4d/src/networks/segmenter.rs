@@ -185,15 +185,15 @@ mod tests {
             box_px: edges.map(|v| v * SMALL.0 as f32),
             belief: coarse.iter().map(|&c| if c { 2.0 } else { -2.0 }).collect(),
         };
-        let found = segmenter(&colour_image(), SMALL, &[prompt]).unwrap();
-        let found: Vec<bool> = found[0].logits.iter().map(|&logit| logit > 0.0).collect();
+        let objects = segmenter(&colour_image(), SMALL, &[prompt]).unwrap();
+        let fine: Vec<bool> = objects[0].logits.iter().map(|&logit| logit > 0.0).collect();
         let overlap = |mask: &[bool]| {
             let count = |f: &dyn Fn(bool, bool) -> bool| {
                 mask.iter().zip(&truth).filter(|(a, b)| f(**a, **b)).count()
             };
             count(&|a, b| a && b) as f64 / count(&|a, b| a || b) as f64
         };
-        let (before, after) = (overlap(&coarse), overlap(&found));
+        let (before, after) = (overlap(&coarse), overlap(&fine));
         assert!(before < 0.7 && after > 0.93, "{before} {after}");
     }
 }

@@ -48,12 +48,12 @@ impl<'a> Painter<'a> {
     pub fn median_depth(&mut self, camera: &Camera, t: f64) -> Option<f64> {
         let frame = self.frame(camera, t, true);
         let depth = frame.depth.iter().zip(&frame.transmittance);
-        let mut seen: Vec<f32> = depth
+        let mut depths: Vec<f32> = depth
             .filter(|&(_, &passed)| passed < 0.5)
             .map(|(&sum, &passed)| sum / (1.0 - passed))
             .filter(|z| z.is_finite() && *z > 0.0)
             .collect();
-        m4_core::median(&mut seen).map(f64::from)
+        m4_core::median(&mut depths).map(f64::from)
     }
 }
 

@@ -30,17 +30,17 @@ impl CameraPath {
 impl PathOptions {
     /// Refuses what means nothing for the path, and numbers that cannot work.
     pub fn check(&self, path: &CameraPath) -> Result<(), Refusal> {
-        let given = [
+        let choices = [
             ("seconds", self.seconds.is_some()),
             ("at", self.at.is_some()),
             ("degrees", self.degrees.is_some()),
         ];
-        let known = path.takes();
-        if let Some((option, _)) = given
+        let options = path.takes();
+        if let Some((option, _)) = choices
             .into_iter()
-            .find(|(name, given)| *given && !known.contains(name))
+            .find(|(name, present)| *present && !options.contains(name))
         {
-            return Err(unused(option, &path.to_string(), known));
+            return Err(unused(option, &path.to_string(), options));
         }
         let numbers = [
             (
@@ -62,11 +62,11 @@ impl PathOptions {
     }
 }
 
-/// The refusal of an option that the path `path` has no use for; `known` are those that it takes.
-pub(super) fn unused(option: &str, path: &str, known: &[&str]) -> Refusal {
-    let takes = match known {
+/// The refusal of an option that the path `path` does not take; it takes `options`.
+pub(super) fn unused(option: &str, path: &str, options: &[&str]) -> Refusal {
+    let takes = match options {
         [] => "none of these options".to_owned(),
-        known => known.join(", "),
+        names => names.join(", "),
     };
     Refusal::usage(format!(
         "the option {option} has no meaning for the camera path {path}; it takes {takes}"

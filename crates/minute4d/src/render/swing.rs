@@ -95,12 +95,12 @@ impl Bullet {
         };
         if let Some(seconds) = seconds {
             let short = seconds - bullet.seconds();
-            let kept = source_s + short;
+            let played_s = source_s + short;
             if short > 0.0 {
                 bullet.hold_s += short;
             } else if short < 0.0 {
                 let least: f64 = ease_s.iter().sum::<f64>() * 0.5;
-                if kept < least {
+                if played_s < least {
                     let hold_s = bullet.hold_s + 2.0 * least;
                     return Err(Refusal::usage(format!(
                         "a path of {seconds} seconds leaves no time besides the {hold_s} s for which time is frozen; choose more"
@@ -113,7 +113,7 @@ impl Bullet {
                     .map(|(a, e)| a - 0.5 * e)
                     .sum::<f64>();
                 let share = if spare > 0.0 {
-                    (kept - least) / spare
+                    (played_s - least) / spare
                 } else {
                     0.0
                 };

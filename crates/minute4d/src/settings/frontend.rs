@@ -131,8 +131,8 @@ impl FromStr for Frontend {
             return Ok(Self::default());
         }
         let part = |word: &str| {
-            let found = Part::ALL.into_iter().find(|p| p.name() == word);
-            found.ok_or_else(|| {
+            let part = Part::ALL.into_iter().find(|p| p.name() == word);
+            part.ok_or_else(|| {
                 let names = Part::ALL.map(Part::name).join(", ");
                 UnknownFrontend(format!(
                     "there is no front end `{word}`; parts are auto (alone), {names}, joined by `+`"

@@ -32,12 +32,12 @@ impl GeometryOptions {
     /// The files and folders of the user among them.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let intrinsics = self.intrinsics.as_deref().map(Path::new);
-        let given = [
+        let paths = [
             self.poses.as_deref(),
             self.masks.as_deref(),
             self.depth.as_deref(),
         ];
-        given
+        paths
             .into_iter()
             .flatten()
             .chain(intrinsics.filter(|path| path.is_file()))

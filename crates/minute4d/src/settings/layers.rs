@@ -47,12 +47,12 @@ impl Layers {
     /// # Errors
     ///
     /// [`SettingsError`] naming the argument.
-    pub fn set(self, given: &str) -> Result<Self, SettingsError> {
+    pub fn set(self, assignment: &str) -> Result<Self, SettingsError> {
         let form = || {
             let what = "is not of the form key=value, such as train.iterations=2000";
-            SettingsError::Invalid(format!("{given:?} {what}"))
+            SettingsError::Invalid(format!("{assignment:?} {what}"))
         };
-        let (key, text) = given.split_once('=').ok_or_else(form)?;
+        let (key, text) = assignment.split_once('=').ok_or_else(form)?;
         let parts: Vec<&str> = key.split('.').map(str::trim).collect();
         if parts.iter().any(|part| part.is_empty()) {
             return Err(form());
@@ -67,7 +67,7 @@ impl Layers {
             Value::Table(Table::from_iter([(part.to_owned(), inner)]))
         });
         match layer {
-            Value::Table(layer) => self.lay(layer, given),
+            Value::Table(layer) => self.lay(layer, assignment),
             _ => Err(form()),
         }
     }
@@ -170,7 +170,7 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
     if message.starts_with("unknown field") {
         let mut quoted = message.split('`').skip(1).step_by(2).map(str::to_owned);
         let key = quoted.next().unwrap_or_default();
-        let known: Vec<String> = quoted.collect();
+        let known_keys: Vec<String> = quoted.collect();
         let parent = path.rsplit_once('.').map_or("", |(parent, _)| parent);
         let dotted = |key: &str| {
             if parent.is_empty() {
@@ -179,7 +179,7 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
                 format!("{parent}.{key}")
             }
         };
-        let suggestion = nearest(&key, &known)
+        let suggestion = nearest(&key, &known_keys)
             .map(dotted)
             .or_else(|| elsewhere(&key, table))
             .filter(|other| *other != dotted(&key));
@@ -187,7 +187,7 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
             layer: layer.to_owned(),
             key: dotted(&key),
             suggestion,
-            known,
+            known: known_keys,
         };
     }
     let value = path
@@ -201,9 +201,9 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
 }
 
 /// The known word closest to `key`, if it is close enough to be meant.
-fn nearest<'a>(key: &str, known: &'a [String]) -> Option<&'a str> {
+fn nearest<'a>(key: &str, known_keys: &'a [String]) -> Option<&'a str> {
     let score = |word: &str| strsim::jaro_winkler(key, word);
-    known
+    known_keys
         .iter()
         .map(|word| (score(word), word.as_str()))
         .filter(|&(score, _)| score > 0.75)
@@ -227,10 +227,10 @@ fn elsewhere(key: &str, table: &Table) -> Option<String> {
             })
         });
         level = inner.collect();
-        let found = level
+        let place = level
             .iter()
             .find(|(_, table)| table.get(key).is_some_and(|v| !v.is_table()));
-        if let Some((path, _)) = found {
+        if let Some((path, _)) = place {
             return Some(format!("{path}.{key}"));
         }
     }
@@ -291,12 +291,12 @@ mod tests {
     use crate::settings::{Profile, Settings};
     use std::path::PathBuf;
 
-    fn set(given: &str) -> Result<Layers, SettingsError> {
-        Layers::default().set(given)
+    fn set(assignment: &str) -> Result<Layers, SettingsError> {
+        Layers::default().set(assignment)
     }
 
-    fn refusal(given: &str) -> String {
-        set(given).unwrap_err().to_string()
+    fn refusal(assignment: &str) -> String {
+        set(assignment).unwrap_err().to_string()
     }
 
     #[test]

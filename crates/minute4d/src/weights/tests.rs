@@ -97,8 +97,8 @@ impl Place {
         assert_eq!(self.store.installed(entry), None);
         let mut folders = vec![self.path("store")];
         while let Some(folder) = folders.pop() {
-            for found in fs::read_dir(folder).into_iter().flatten() {
-                let path = found.unwrap().path();
+            for item in fs::read_dir(folder).into_iter().flatten() {
+                let path = item.unwrap().path();
                 assert!(path.is_dir(), "{} was left", path.display());
                 let name = path.file_name().unwrap().to_string_lossy().into_owned();
                 assert!(!name.starts_with(".fetch-"), "{name} was left");

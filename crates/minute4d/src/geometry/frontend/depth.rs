@@ -186,7 +186,7 @@ mod networks {
                 };
                 let step = format!("depth-{frame:05}");
                 let (measured, disparity) = match steps.load(&step) {
-                    Some(made) => made,
+                    Some(maps) => maps,
                     None => {
                         let measured = networks
                             .metric
@@ -195,12 +195,12 @@ mod networks {
                         let measured = measured.transpose().map_err(failed)?;
                         let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
                         let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
-                        let made = (
+                        let maps = (
                             measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)),
                             disparity.map(limited),
                         );
-                        steps.store(&step, &made);
-                        made
+                        steps.store(&step, &maps);
+                        maps
                     }
                 };
                 if let Some((depth_m, fov_rad)) = measured {

@@ -20,19 +20,19 @@ impl Plan {
         #[cfg(feature = "nets")]
         if let Some(net) = self.raft(device)? {
             return Ok(Box::new(move |i, a, b| {
-                kept(steps, i, || raft::measure(&net, a, b, iterations))
+                load_or_measure(steps, i, || raft::measure(&net, a, b, iterations))
             }));
         }
         let _ = (iterations, device);
         Ok(Box::new(move |i, a, b| {
-            kept(steps, i, || Ok(InverseSearch.both(a, b)))
+            load_or_measure(steps, i, || Ok(InverseSearch.both(a, b)))
         }))
     }
 }
 
 /// The flow of frame `i`, measured once: it is asked for again after an interruption, and when
 /// depth is estimated again with better cameras.
-fn kept(
+fn load_or_measure(
     steps: Steps<'_>,
     i: usize,
     measure: impl FnOnce() -> Result<(Flow, Flow), SourceError>,
@@ -78,14 +78,14 @@ mod raft {
             iterations: usize,
             device: &NetworkDevice,
         ) -> Result<Option<Box<dyn PairFlow>>, Error> {
-            let (there, back) = (HashMap::new(), HashMap::new());
+            let (forward, backward) = (HashMap::new(), HashMap::new());
             let raft = self.raft(device)?;
             Ok(raft.map(|net| {
                 Box::new(RaftPairs {
                     net,
                     iterations,
-                    there,
-                    back,
+                    forward,
+                    backward,
                 }) as Box<dyn PairFlow>
             }))
         }
@@ -101,8 +101,8 @@ mod raft {
         let image =
             |of: &ScaledFrame| Plane::from_fn(of.width, of.height, |x, y| of.rgb[y * of.width + x]);
         let (a, b) = (net.encode(&image(a))?, net.encode(&image(b))?);
-        let [there, back] = net.flow_both(&a, &b, iterations, None)?;
-        Ok((there.flow, back.flow))
+        let [forward, backward] = net.flow_both(&a, &b, iterations, None)?;
+        Ok((forward.flow, backward.flow))
     }
 
     /// RAFT along a clip: a longer step begins with the flow that the shorter one before it found
@@ -111,9 +111,9 @@ mod raft {
         net: Raft,
         iterations: usize,
         /// By the frame that it starts in.
-        there: HashMap<usize, Flow>,
+        forward: HashMap<usize, Flow>,
         /// By the frame that it starts in, which is the later one.
-        back: HashMap<usize, Flow>,
+        backward: HashMap<usize, Flow>,
     }
 
     impl PairFlow for RaftPairs {
@@ -127,15 +127,20 @@ mod raft {
             a: &RgbImage,
             b: &RgbImage,
         ) -> Result<[Flow; 2], SourceError> {
-            let begin = match (self.there.get(&pair.source), self.back.get(&pair.target)) {
-                (Some(there), Some(back)) if pair.target > pair.source + 1 => Some([there, back]),
+            let begin = match (
+                self.forward.get(&pair.source),
+                self.backward.get(&pair.target),
+            ) {
+                (Some(forward), Some(backward)) if pair.target > pair.source + 1 => {
+                    Some([forward, backward])
+                }
                 _ => None,
             };
             let (a, b) = (self.net.encode(a)?, self.net.encode(b)?);
-            let [there, back] = self.net.flow_both(&a, &b, self.iterations, begin)?;
-            self.there.insert(pair.source, there.low);
-            self.back.insert(pair.target, back.low);
-            Ok([there.flow, back.flow])
+            let [forward, backward] = self.net.flow_both(&a, &b, self.iterations, begin)?;
+            self.forward.insert(pair.source, forward.low);
+            self.backward.insert(pair.target, backward.low);
+            Ok([forward.flow, backward.flow])
         }
     }
 }

@@ -43,8 +43,8 @@ impl Plan {
     /// The file of a part's weights.
     #[cfg(feature = "nets")]
     pub(super) fn file(&self, part: Part) -> Option<&std::path::Path> {
-        let found = self.files.iter().find(|(p, _)| *p == part);
-        found.map(|(_, path)| path.as_path())
+        let entry = self.files.iter().find(|(p, _)| *p == part);
+        entry.map(|(_, path)| path.as_path())
     }
 }
 

@@ -37,14 +37,14 @@ pub fn numbers(text: &str) -> Option<Vec<f64>> {
 
 /// The lens for frames of `size`; refused if it is incomplete, distorted, or of images of another
 /// shape.
-pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
+pub fn lens(text: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
     let bad = |reason: String| {
         Refusal::bad_input(format!(
-            "the intrinsics {given:?} cannot be used: {reason}; give fx,fy,cx,cy in pixels of the frames, or a JSON file with \
+            "the intrinsics {text:?} cannot be used: {reason}; give fx,fy,cx,cy in pixels of the frames, or a JSON file with \
              fl_x, fl_y, cx, cy, w and h"
         ))
     };
-    let lens = match numbers(given) {
+    let lens = match numbers(text) {
         Some(numbers) => match numbers[..] {
             [fx, fy, cx, cy] => Intrinsics {
                 width: size.0,
@@ -59,8 +59,8 @@ pub fn lens(given: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
             }
         },
         None => {
-            let bytes = files::read(Path::new(given), MAX_LENS_BYTES)
-                .map_err(Error::read(Path::new(given)))?;
+            let bytes = files::read(Path::new(text), MAX_LENS_BYTES)
+                .map_err(Error::read(Path::new(text)))?;
             let file: File = serde_json::from_slice(files::without_mark(&bytes))
                 .map_err(|e| bad(format!("it is not such JSON ({e})")))?;
             of_file(&file, size).map_err(bad)?
@@ -86,7 +86,7 @@ fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
         return Err("it has distortion; undistort the frames first".to_owned());
     }
     let fx = file.fl_x.ok_or("fl_x is missing")?;
-    let side = |given: Option<f64>, frame: usize| match given {
+    let side = |value: Option<f64>, frame: usize| match value {
         Some(side) if (1.0..=65_536.0).contains(&side) => Ok(side as usize),
         Some(side) => Err(format!("a side of {side} pixels")),
         None => Ok(frame),
@@ -132,9 +132,9 @@ mod tests {
 
     #[test]
     fn numbers_are_of_the_frames() {
-        let found = lens("500, 510,310,250", (640, 480)).unwrap();
+        let actual = lens("500, 510,310,250", (640, 480)).unwrap();
         assert_eq!(
-            (found.fx, found.fy, found.cx, found.cy),
+            (actual.fx, actual.fy, actual.cx, actual.cy),
             (500.0, 510.0, 310.0, 250.0)
         );
         for (bad, word) in [
@@ -156,9 +156,9 @@ mod tests {
         let write = |text: &str| std::fs::write(&path, text).unwrap();
         let name = path.to_str().unwrap();
         write(r#"{"fl_x": 1000, "fl_y": 1010, "cx": 620, "w": 1280, "h": 960}"#);
-        let found = lens(name, (640, 480)).unwrap();
+        let actual = lens(name, (640, 480)).unwrap();
         assert_eq!(
-            (found.fx, found.fy, found.cx, found.cy),
+            (actual.fx, actual.fy, actual.cx, actual.cy),
             (500.0, 505.0, 310.0, 240.0)
         );
         for (text, word) in [

@@ -87,7 +87,7 @@ impl Given {
         let clip = Clip::of(input, video, folder_fps)?;
         let lens = options.intrinsics.as_deref();
         let lens = lens
-            .map(|given| cameras::lens(given, clip.size))
+            .map(|text| cameras::lens(text, clip.size))
             .transpose()?;
         let cameras = options
             .poses
@@ -125,13 +125,13 @@ impl Given {
 
     /// Names of what was given, for the record.
     pub(super) fn names(&self) -> Vec<String> {
-        let given = [
+        let inputs = [
             ("intrinsics", self.lens.is_some()),
             ("poses", self.cameras.is_some()),
             ("masks", self.masks.is_some()),
             ("depth", self.depth.is_some()),
         ];
-        given
+        inputs
             .iter()
             .filter(|(_, is)| *is)
             .map(|(name, _)| (*name).to_owned())
@@ -160,12 +160,12 @@ fn each<T: Send>(
 }
 
 /// The refusal of an image of another shape than the frames.
-fn other_shape(path: &Path, found: (usize, usize), frame: (usize, usize)) -> Refusal {
+fn other_shape(path: &Path, size: (usize, usize), frame: (usize, usize)) -> Refusal {
     Refusal::bad_input(format!(
         "{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ",
         path.display(),
-        found.0,
-        found.1,
+        size.0,
+        size.1,
         frame.0,
         frame.1
     ))

@@ -105,7 +105,7 @@ impl CameraPath {
             return file(path, scene, job);
         }
         let source = SourcePath::new(scene, &self.to_string())?;
-        let made = Maker {
+        let maker = Maker {
             scene,
             source: &source,
             options: &job.options,
@@ -113,7 +113,7 @@ impl CameraPath {
             at: anchor(job, &span(scene))?,
         };
         Ok(Plan {
-            stops: made.stops(self, painter)?,
+            stops: maker.stops(self, painter)?,
             fps,
         })
     }

@@ -28,7 +28,7 @@ impl SourcePath {
     pub fn new(scene: &Scene, path: &str) -> Result<Self, Refusal> {
         let mut frames: Vec<SourceFrame> = scene.source.clone();
         frames.sort_by(|a, b| a.t.total_cmp(&b.t));
-        frames.dedup_by(|later, kept| later.t <= kept.t);
+        frames.dedup_by(|later, earlier| later.t <= earlier.t);
         if frames.is_empty() {
             return Err(Refusal::bad_input(format!(
                 "the scene has no cameras of its source, so there is no camera path {path}; give a file of cameras"
