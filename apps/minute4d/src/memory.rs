@@ -55,13 +55,13 @@ mod tests {
         const BLOCK: usize = 100_000;
         const COUNT: usize = 600;
         let blocks: Vec<Vec<u8>> = (0..COUNT).map(|_| vec![1; BLOCK]).collect();
-        let kept: Vec<Vec<u8>> = blocks.into_iter().step_by(20).collect();
+        let survivors: Vec<Vec<u8>> = blocks.into_iter().step_by(20).collect();
         let before = resident().unwrap();
         FreedMemory::default().give_back();
         let after = resident().unwrap();
         assert!(before > after + COUNT * BLOCK / 2, "{before} {after}");
         assert_eq!(
-            kept.iter().map(|block| block.len()).sum::<usize>(),
+            survivors.iter().map(|block| block.len()).sum::<usize>(),
             COUNT / 20 * BLOCK
         );
     }

@@ -57,7 +57,7 @@ fn damaged_videos_are_rejected() {
 fn unknown_and_invalid_settings_are_rejected() {
     let dir = Scratch::new();
     let meant = "did you mean \"train.iterations\"?";
-    for (given, words) in [
+    for (assignment, words) in [
         ("train.iteratons=5", &["train.iteratons", meant][..]),
         ("iterations=5", &[meant]),
         (
@@ -78,7 +78,11 @@ fn unknown_and_invalid_settings_are_rejected() {
         ("train.batch=100000", &["train.batch = 100000", "1 to 32"]),
         ("limit.time_s=nan", &["limit.time_s = NaN"]),
     ] {
-        dir.refused(&format!("train --print-config --set {given}"), 78, words);
+        dir.refused(
+            &format!("train --print-config --set {assignment}"),
+            78,
+            words,
+        );
     }
     for (file, toml, words) in [
         (
@@ -108,7 +112,7 @@ fn unknown_and_invalid_settings_are_rejected() {
     );
 
     write_capture(&dir.path("capture"), false);
-    for (given, words) in [
+    for (assignment, words) in [
         (
             "train.loss.lambda_ssim=3",
             ["train.loss.lambda_ssim = 3", "0 to 1"],
@@ -122,7 +126,11 @@ fn unknown_and_invalid_settings_are_rejected() {
             ["train.density.every = 2", "0 to 1"],
         ),
     ] {
-        dir.refused(&format!("train capture -o never --set {given}"), 78, &words);
+        dir.refused(
+            &format!("train capture -o never --set {assignment}"),
+            78,
+            &words,
+        );
     }
     assert!(
         !dir.path("never").exists(),

@@ -164,7 +164,7 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
     );
 
     // What has ended is not run again.
-    let made = |id: &str| {
+    let scene_time = |id: &str| {
         fs::metadata(dir.path("results").join(id).join("scene.safetensors"))
             .unwrap()
             .modified()
@@ -175,11 +175,11 @@ fn corrupt_clip_fails_permanently_and_others_finish() {
             .unwrap()
             .len()
     };
-    let (before, log) = ((made("clip1"), made("clip2")), log_length());
+    let (before, log) = ((scene_time("clip1"), scene_time("clip2")), log_length());
     assert_eq!([0, 1, 2, 3].map(|index| code(&dir, index)), [65, 0, 0, 66]);
     assert_eq!(
         (before, log),
-        ((made("clip1"), made("clip2")), log_length()),
+        ((scene_time("clip1"), scene_time("clip2")), log_length()),
         "nothing was touched"
     );
     assert_eq!(ended(job(&dir, "--retry-failed --index 0")).code, 65);
@@ -300,11 +300,11 @@ fn out_of_memory_job_can_be_rerun() {
     plan(&dir, "--iterations 3000 --set checkpoint.every_s=0.02");
     let mut running =
         start_until_saved(job(&dir, "--index 0"), &dir.path("results/.work/clip1"), 1);
-    let found = Command::new("pgrep")
+    let output = Command::new("pgrep")
         .args(["-P", &running.0.id().to_string()])
         .output()
         .unwrap();
-    for pid in String::from_utf8(found.stdout).unwrap().split_whitespace() {
+    for pid in String::from_utf8(output.stdout).unwrap().split_whitespace() {
         assert!(
             Command::new("kill")
                 .args(["-KILL", pid])
@@ -380,8 +380,8 @@ fn machine_failures_are_not_counted_against_the_clip() {
 fn invalid_plans_and_changed_inputs_are_rejected() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let plan_of = |given: &str, code: i32, words: &[&str]| {
-        let line = format!("batch plan {given} -o jobs.jsonl --out results");
+    let plan_of = |arguments: &str, code: i32, words: &[&str]| {
+        let line = format!("batch plan {arguments} -o jobs.jsonl --out results");
         dir.refused(&line, code, words);
     };
     plan_of("none", 66, &["there is no", "none"]);

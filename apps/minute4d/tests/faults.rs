@@ -36,10 +36,10 @@ fn same_result(a: &Path, b: &Path) {
 
 /// Names of the finished steps of geometry.
 fn steps(out: &Path) -> Vec<String> {
-    let found = fs::read_dir(out.join("capture/.minute4d-steps"))
+    let entries = fs::read_dir(out.join("capture/.minute4d-steps"))
         .into_iter()
         .flatten();
-    let names = found.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
     names
         .filter(|name| name != "key" && !name.ends_with(".part"))
         .collect()

@@ -56,11 +56,11 @@ const SMALL: &str = "bench --device gpu:0 --splats 500 --size 64x48 --steps 1";
 #[track_caller]
 fn is_there(dir: &Scratch) -> bool {
     let doctor = dir.succeed("doctor --json").result();
-    let there = !doctor["gpus"][0].is_null();
-    if !there {
+    let has_gpu = !doctor["gpus"][0].is_null();
+    if !has_gpu {
         skip(Need::Vulkan, "there is no GPU, nor software that plays one");
     }
-    there
+    has_gpu
 }
 
 #[cfg(feature = "gpu")]

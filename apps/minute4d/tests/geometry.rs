@@ -25,8 +25,8 @@ fn depth(camera: &Camera) -> DepthMap {
     })
 }
 
-/// A clip with everything known about it: `clip/`, `depth/`, `masks/`, `poses.json`.
-fn known() -> (Scratch, Vec<Camera>) {
+/// Writes a clip with its ground truth: `clip/`, `depth/`, `masks/`, `poses.json`.
+fn write_clip() -> (Scratch, Vec<Camera>) {
     let dir = Scratch::new();
     let cameras = walk(FRAMES);
     clips::write(&dir.path("clip"), cameras.iter().map(frame_image));
@@ -75,45 +75,45 @@ const GEOMETRY: &str = "geometry clip -o out --force";
 /// `geometry` of the clip with these options: the record and the capture.
 fn geometry(dir: &Scratch, options: &str) -> (Value, Capture) {
     let ended = dir.succeed(&format!("{GEOMETRY} --json {options}"));
-    let made = read_capture(&dir.path("out"), Split::Train);
-    (ended.result()["record"].clone(), made)
+    let capture = read_capture(&dir.path("out"), Split::Train);
+    (ended.result()["record"].clone(), capture)
 }
 
 /// Mean relative error of the depth of a capture, in its own unit, without any alignment.
-fn depth_error(made: &Capture, cameras: &[Camera]) -> f64 {
+fn depth_error(capture: &Capture, cameras: &[Camera]) -> f64 {
     let mut sum = 0.0;
-    for (frame, camera) in made.frames.iter().zip(cameras) {
-        let (found, truth) = (frame.depth.as_ref().unwrap().to_map(), depth(camera));
-        let errors = found
+    for (frame, camera) in capture.frames.iter().zip(cameras) {
+        let (estimate, truth) = (frame.depth.as_ref().unwrap().to_map(), depth(camera));
+        let errors = estimate
             .data()
             .iter()
             .zip(truth.data())
             .map(|(a, b)| f64::from((a - b).abs() / b));
         sum += errors.sum::<f64>() / truth.data().len() as f64;
     }
-    sum / made.frames.len() as f64
+    sum / capture.frames.len() as f64
 }
 
-fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
-    let both = made.frames.iter().zip(cameras);
+fn poses_differ(capture: &Capture, cameras: &[Camera]) -> f64 {
+    let both = capture.frames.iter().zip(cameras);
     both.map(|(f, c)| (f.camera.c2w.matrix() - c.c2w.matrix()).norm())
         .fold(0.0, f64::max)
 }
 
 #[test]
 fn given_poses_are_used_and_set_the_unit_of_depth() {
-    let (dir, cameras) = known();
-    let (record, made) = geometry(&dir, "--poses poses.json");
+    let (dir, cameras) = write_clip();
+    let (record, capture) = geometry(&dir, "--poses poses.json");
     assert_eq!(record["found"]["camera_motion"], "parallax", "{record}");
     assert_eq!(record["found"]["confidence"]["focal"], "given", "{record}");
-    assert!(poses_differ(&made, &cameras) < 1e-6);
-    let error = depth_error(&made, &cameras);
+    assert!(poses_differ(&capture, &cameras) < 1e-6);
+    let error = depth_error(&capture, &cameras);
     assert!(error < 0.08, "{error}");
 }
 
 #[test]
 fn poses_of_another_clip_are_rejected() {
-    let (dir, _) = known();
+    let (dir, _) = write_clip();
     let mut list: Value =
         serde_json::from_slice(&fs::read(dir.path("poses.json")).unwrap()).unwrap();
     list["frames"].as_array_mut().unwrap().truncate(10);
@@ -132,7 +132,7 @@ fn poses_of_another_clip_are_rejected() {
 
 #[test]
 fn given_intrinsics_are_used_with_their_principal_point() {
-    let (dir, _) = known();
+    let (dir, _) = write_clip();
     // Images cut off at the left: the principal point is no longer in the middle.
     let cut = 24;
     fs::remove_dir_all(dir.path("clip")).unwrap();
@@ -145,8 +145,8 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     let lens =
         json!({"fl_x": FOCAL_PX, "cx": cx, "cy": SIZE.1 / 2, "w": SIZE.0 - cut, "h": SIZE.1});
     dir.write("lens.json", lens.to_string());
-    let (record, made) = geometry(&dir, "--intrinsics lens.json");
-    let k = made.frames[0].camera.intrinsics;
+    let (record, capture) = geometry(&dir, "--intrinsics lens.json");
+    let k = capture.frames[0].camera.intrinsics;
     assert!(
         (k.cx - cx).abs() < 1e-9 && (k.fx - FOCAL_PX).abs() < 1e-9,
         "{k:?}"
@@ -156,10 +156,10 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     assert_eq!(record["found"]["given"], json!(["intrinsics"]));
     // Where the middle is taken for it, the way is bent: poses of the true lens are nearer to the
     // truth.
-    let turn = |made: &Capture| {
+    let turn = |clip: &Capture| {
         let (a, b) = (
-            made.frames[0].camera.c2w,
-            made.frames[FRAMES - 1].camera.c2w,
+            clip.frames[0].camera.c2w,
+            clip.frames[FRAMES - 1].camera.c2w,
         );
         log_so3(&a.rotation.tr_mul(&b.rotation))
     };
@@ -171,9 +171,9 @@ fn given_intrinsics_are_used_with_their_principal_point() {
             .tr_mul(&cameras[FRAMES - 1].c2w.rotation),
     );
     assert!(
-        (turn(&made) - truth).norm() < 0.01,
+        (turn(&capture) - truth).norm() < 0.01,
         "{} {}",
-        turn(&made),
+        turn(&capture),
         truth
     );
     for (lens, code, words) in [
@@ -188,12 +188,12 @@ fn given_intrinsics_are_used_with_their_principal_point() {
 
 #[test]
 fn given_masks_are_used_unchanged() {
-    let (dir, _) = known();
+    let (dir, _) = write_clip();
     let (record, _) = geometry(&dir, "--masks masks");
     let share = record["found"]["moving_share"].as_f64().unwrap();
     assert!((share - 0.25).abs() < 0.03, "{record}");
-    let made = read_mask(&dir.path("out/mask/00003.png")).unwrap();
-    assert!(made.at(10, 60) && !made.at(100, 60));
+    let actual = read_mask(&dir.path("out/mask/00003.png")).unwrap();
+    assert!(actual.at(10, 60) && !actual.at(100, 60));
     let line = format!("{GEOMETRY} --masks masks");
     fs::remove_file(dir.path("masks/00004.png")).unwrap();
     dir.refused(&line, 65, &["masks", "11 masks", "12 frames"]);
@@ -211,7 +211,7 @@ fn given_masks_are_used_unchanged() {
 
 #[test]
 fn given_depth_sets_the_unit() {
-    let (dir, cameras) = known();
+    let (dir, cameras) = write_clip();
     // Every other pixel column unknown: what is measured there must have the same unit.
     for i in 0..FRAMES {
         let path = dir.path(&format!("depth/{i:05}.png"));
@@ -221,13 +221,16 @@ fn given_depth_sets_the_unit() {
         });
         write_depth(&path, &holes, 0.001).unwrap();
     }
-    let (record, made) = geometry(&dir, "--depth depth");
-    assert!(made.metric);
-    let error = depth_error(&made, &cameras);
+    let (record, capture) = geometry(&dir, "--depth depth");
+    assert!(capture.metric);
+    let error = depth_error(&capture, &cameras);
     assert!(error < 0.08, "{error} {record}");
     // The length of the way, in metres.
     let way = |a: &Camera, b: &Camera| (a.centre() - b.centre()).norm();
-    let ours = way(&made.frames[0].camera, &made.frames[FRAMES - 1].camera);
+    let ours = way(
+        &capture.frames[0].camera,
+        &capture.frames[FRAMES - 1].camera,
+    );
     let truth = way(&cameras[0], &cameras[FRAMES - 1]);
     assert!((ours / truth - 1.0).abs() < 0.05, "{ours} {truth}");
 
@@ -245,7 +248,7 @@ fn given_depth_sets_the_unit() {
 #[cfg(feature = "nets")]
 #[test]
 fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
-    let (dir, _) = known();
+    let (dir, _) = write_clip();
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
     let (record, _) = geometry(&dir, "");
@@ -268,7 +271,7 @@ fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
 
 #[test]
 fn changed_masks_invalidate_the_result() {
-    let (dir, _) = known();
+    let (dir, _) = write_clip();
     let (first, _) = geometry(&dir, "--masks masks");
     let mask: Mask = Plane::filled(SIZE.0, SIZE.1, 0);
     write_mask(&dir.path("masks/00000.png"), &mask).unwrap();
@@ -281,8 +284,8 @@ fn record_of(dir: &Scratch, images: Vec<RgbImage>) -> Ended {
     dir.succeed("geometry clip -o out --json")
 }
 
-/// What is found in these images, and all warnings in one text.
-fn found(images: Vec<RgbImage>) -> (Value, String) {
+/// The summary of the geometry of these images, and all warnings in one text.
+fn summary_of(images: Vec<RgbImage>) -> (Value, String) {
     let ended = record_of(&Scratch::new(), images);
     assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
     let record = ended.result()["record"].clone();
@@ -305,8 +308,8 @@ fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
 
 /// Largest errors of the cameras of a capture after the similarity that places them best: of the
 /// centre, per cent of the length of the path; of the axes, degrees; of the focal length, per cent.
-fn camera_errors(made: &Capture, truth: &[Camera]) -> [f64; 3] {
-    let cameras: Vec<Camera> = made.frames.iter().map(|frame| frame.camera).collect();
+fn camera_errors(capture: &Capture, truth: &[Camera]) -> [f64; 3] {
+    let cameras: Vec<Camera> = capture.frames.iter().map(|frame| frame.camera).collect();
     assert_eq!(cameras.len(), truth.len());
     let sim = placement(&cameras, truth).unwrap();
     let length: f64 = truth
@@ -331,11 +334,11 @@ fn translating_camera_is_reconstructed() {
     let (cameras, dir) = (walk(24), Scratch::new());
     let record =
         record_of(&dir, cameras.iter().map(frame_image).collect()).result()["record"].clone();
-    let found = &record["found"];
-    assert_eq!(found["camera_motion"], "parallax", "{record}");
-    let made = read_capture(&dir.path("out"), Split::Train);
+    let summary = &record["found"];
+    assert_eq!(summary["camera_motion"], "parallax", "{record}");
+    let capture = read_capture(&dir.path("out"), Split::Train);
     // measured: 0.06 %, 0.07 degrees and 1.9 %
-    let errors = camera_errors(&made, &cameras);
+    let errors = camera_errors(&capture, &cameras);
     assert!(
         errors[0] < 0.3 && errors[1] < 0.3 && errors[2] < 4.0,
         "{errors:?}"
@@ -346,9 +349,9 @@ fn translating_camera_is_reconstructed() {
         let shift = camera.c2w.translation.x;
         camera.c2w = clips::camera(shift, -0.125 * shift, FOCAL_PX).c2w;
     }
-    let errors = camera_errors(&made, &level);
+    let errors = camera_errors(&capture, &level);
     assert!(errors[0] > 0.6 && errors[1] > 0.3, "{errors:?}");
-    let confidence = &found["confidence"];
+    let confidence = &summary["confidence"];
     assert!(
         confidence["parallax_deg"].as_f64().unwrap() > 2.0,
         "{confidence}"
@@ -357,7 +360,7 @@ fn translating_camera_is_reconstructed() {
         confidence["residual_px"].as_f64().unwrap() < 0.5,
         "{confidence}"
     );
-    assert_eq!(found["frontend"], "classical");
+    assert_eq!(summary["frontend"], "classical");
 }
 
 #[test]
@@ -388,13 +391,13 @@ fn poor_camera_motion_is_reported() {
         (vec![still.clone(); 8], "static", &["appears to be static"]),
     ] {
         let identical = images == vec![still.clone(); 8];
-        let (found, warnings): (Value, String) = found(images);
-        assert_eq!(found["camera_motion"], motion, "{found}");
+        let (summary, warnings): (Value, String) = summary_of(images);
+        assert_eq!(summary["camera_motion"], motion, "{summary}");
         contains(&warnings, words);
-        assert!(!identical || found["moving_share"] == 0.0, "{found}");
+        assert!(!identical || summary["moving_share"] == 0.0, "{summary}");
         assert!(
-            motion == "static" || found["confidence"]["grade"] == "poor",
-            "{found}"
+            motion == "static" || summary["confidence"]["grade"] == "poor",
+            "{summary}"
         );
     }
 }
@@ -434,8 +437,8 @@ fn forward_motion_is_not_a_zoom() {
         camera.c2w.translation.z = 0.08 * f64::from(i);
         camera
     };
-    let (found, warnings) = found((0..16).map(|i| frame_image(&ahead(i))).collect());
-    assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
+    let (summary, warnings) = summary_of((0..16).map(|i| frame_image(&ahead(i))).collect());
+    assert_eq!(summary["camera_motion"], "parallax", "{summary} {warnings}");
     assert!(!warnings.contains("zooms"), "{warnings}");
 }
 

@@ -13,10 +13,10 @@ const FRAMES: usize = 12;
 
 /// A ball in front of a wall, trained without the Mip filter, or with it and of small splats.
 fn write_scene(dir: &Scratch, mip: bool) {
-    let mut made = moving_scene(Intrinsics::centred(96, 72, 90.0), FRAMES);
+    let mut fixture = moving_scene(Intrinsics::centred(96, 72, 90.0), FRAMES);
     if mip {
         // a fifth of a pixel: what the filter is for
-        let sizes = made.splats.column_mut(Column::LogScale, 0);
+        let sizes = fixture.splats.column_mut(Column::LogScale, 0);
         sizes.iter_mut().for_each(|size| *size -= 3.0);
     }
     let frame = |(i, camera)| SourceFrame {
@@ -25,13 +25,13 @@ fn write_scene(dir: &Scratch, mip: bool) {
         exposure: Exposure::IDENTITY,
     };
     let scene = Scene {
-        splats: made.splats,
+        splats: fixture.splats,
         background: [0.2, 0.3, 0.4],
         time_frames: FRAMES,
         duration_s: Some(0.5),
         mip,
         near: 0.02,
-        source: made.cameras.into_iter().enumerate().map(frame).collect(),
+        source: fixture.cameras.into_iter().enumerate().map(frame).collect(),
     };
     fs::create_dir_all(dir.path("out")).unwrap();
     safetensors::write(

@@ -94,7 +94,7 @@ fn library_caller_makes_a_capture() {
     geometry::make(Path::new(&clip), Path::new(&env::var(OUT).unwrap()), &job).unwrap();
 }
 
-fn made(clip: &Path, out: &Path, store: &Path, frontend: &str) -> Capture {
+fn capture_of(clip: &Path, out: &Path, store: &Path, frontend: &str) -> Capture {
     let mut command = Command::new(env::current_exe().unwrap());
     command
         .args([
@@ -119,7 +119,7 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
     write_clip(&clip);
     write_weights(&store);
     let out = dir.path("out");
-    let capture = made(&clip, &out, &store, "megasam");
+    let capture = capture_of(&clip, &out, &store, "megasam");
     let record: Value =
         serde_json::from_str(&fs::read_to_string(out.join("geometry.json")).unwrap()).unwrap();
     // The choice, and the lack of a depth network, is reported.
@@ -128,18 +128,21 @@ fn megasam_front_end_makes_a_capture_and_records_its_networks() {
         warnings.contains("raft") && warnings.contains("no depth from one image"),
         "{warnings}"
     );
-    let found = &record["found"];
+    let summary = &record["found"];
     assert_eq!(
-        (&found["frontend"], &found["frames"]),
+        (&summary["frontend"], &summary["frames"]),
         (&Value::from("megasam+raft"), &Value::from(FRAMES))
     );
-    let networks = found["networks"].as_array().unwrap();
+    let networks = summary["networks"].as_array().unwrap();
     let licences: Vec<&str> = networks
         .iter()
         .map(|n| n["licence"].as_str().unwrap())
         .collect();
     assert_eq!(licences, ["CC-BY 4.0", "BSD-3-Clause"]);
-    assert!(found["keyframes"].as_array().unwrap().len() > 2, "{found}");
+    assert!(
+        summary["keyframes"].as_array().unwrap().len() > 2,
+        "{summary}"
+    );
     assert_eq!((capture.frames.len(), capture.metric), (FRAMES, false));
     assert!(
         capture
@@ -287,8 +290,8 @@ fn added_file_is_installed_and_verified() {
         65,
         &["an empty file"],
     );
-    let found = weights(&dir, "verify").result();
-    assert_eq!(found[0]["condition"], "as added", "{found}");
+    let report = weights(&dir, "verify").result();
+    assert_eq!(report[0]["condition"], "as added", "{report}");
     fs::write(dir.path("store/megasam/megasam_final.pth"), b"a chackpoint").unwrap();
     reason(&weights(&dir, "verify"), 65, &["megasam is damaged"]);
 }

@@ -210,16 +210,16 @@ fn devices_pipes_and_dangling_links_are_no_outputs() {
     );
 }
 
-/// Kills the program with SIGKILL once `seen` holds, and checks what it left.
+/// Kills the program with SIGKILL once `condition` holds, and checks what it left.
 #[cfg(unix)]
-fn killed(dir: &Scratch, line: &str, seen: impl Fn() -> bool) {
+fn killed(dir: &Scratch, line: &str, condition: impl Fn() -> bool) {
     let mut command = dir.command(line);
     let mut child = command
         .stdout(std::process::Stdio::null())
         .stderr(std::process::Stdio::null())
         .spawn()
         .unwrap();
-    while !seen() {
+    while !condition() {
         assert!(
             child.try_wait().unwrap().is_none(),
             "it ended before it was killed: {line}"
@@ -308,7 +308,7 @@ fn results_may_be_in_the_folder_that_they_are_made_from() {
     write(&dir.path("walk"), walk(8).iter().map(frame_image));
     let line = "run walk --set dense.working_side_px=160 --set preview.panel_px=64 --iterations 20 -o walk/out";
     dir.succeed(line);
-    let made = state(&dir.path("walk"));
+    let files = state(&dir.path("walk"));
     let again = dir.succeed(&format!("{line} --resume --json"));
     let reused = again
         .events()
@@ -318,7 +318,7 @@ fn results_may_be_in_the_folder_that_they_are_made_from() {
     assert!(reused >= 2, "{}", again.stdout);
     assert!(
         state(&dir.path("walk"))[Path::new("out/scene.safetensors")]
-            == made[Path::new("out/scene.safetensors")]
+            == files[Path::new("out/scene.safetensors")]
     );
     // The folder itself has no room for them.
     for line in ["run walk -o walk --force", "geometry walk -o walk --force"] {

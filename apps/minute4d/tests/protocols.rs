@@ -94,13 +94,17 @@ fn eval_by_protocol_reports_every_choice() {
         number(&c["headline"]["mean"]),
         number(&report["mean"]["psnr_db"])
     );
-    let (held_out, kept): (Vec<_>, Vec<_>) = whole
+    let (held_out, training): (Vec<_>, Vec<_>) = whole
         .frames
         .iter()
         .enumerate()
         .partition(|(i, _)| i % 8 == 4);
     let views = held_out.into_iter().map(|(_, frame)| frame.rgb.clone());
-    let trivial = mean_image_psnr_db(kept.into_iter().map(|(_, frame)| frame), views, usize::MAX);
+    let trivial = mean_image_psnr_db(
+        training.into_iter().map(|(_, frame)| frame),
+        views,
+        usize::MAX,
+    );
     let psnr = number(&report["mean"]["psnr_db"]);
     assert!(
         psnr > trivial + 3.0,

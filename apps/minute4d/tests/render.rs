@@ -172,9 +172,9 @@ fn playback_images_match_their_time() {
     let scene = safetensors::read(&dir.path("out/scene.safetensors"))
         .unwrap()
         .scene;
-    let kept: Vec<u32> = (0..scene.splats.n_static() as u32).collect();
+    let rows: Vec<u32> = (0..scene.splats.n_static() as u32).collect();
     let without = Scene {
-        splats: scene.splats.gather(&kept).unwrap(),
+        splats: scene.splats.gather(&rows).unwrap(),
         ..scene.clone()
     };
     let level = SimdLevel::detect().unwrap();

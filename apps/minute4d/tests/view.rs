@@ -220,8 +220,8 @@ fn view_rejects_bad_arguments_and_broken_scenes() {
     );
     dir.refused("view empty --no-open", 66, &["no scene or run"]);
     dir.succeed("train capture -o out --iterations 20 --no-viewer");
-    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-    let port = taken.local_addr().unwrap().port().to_string();
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let port = listener.local_addr().unwrap().port().to_string();
     let words = ["in use", "--port", &port];
     dir.refused(&format!("view out --no-open --port {port}"), 75, &words);
 }

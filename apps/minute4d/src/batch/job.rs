@@ -266,7 +266,7 @@ impl Attempt<'_> {
         let input = &self.job.input;
         match hash::of_input(Path::new(input), None, self.watch) {
             Err(error) => Err(error.to_string()),
-            Ok(found) if found != self.job.blake3 => Err(format!(
+            Ok(hash) if hash != self.job.blake3 => Err(format!(
                 "{input} is not what was planned; if it changed, plan again"
             )),
             Ok(_) => Ok(()),

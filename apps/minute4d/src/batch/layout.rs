@@ -91,16 +91,16 @@ pub(crate) fn ids(inputs: &[(String, String)]) -> Vec<String> {
     for name in &plain {
         *count.entry(name.to_lowercase()).or_default() += 1;
     }
-    let mut given = Vec::with_capacity(plain.len());
+    let mut ids = Vec::with_capacity(plain.len());
     for (name, (_, path)) in plain.into_iter().zip(inputs) {
         let alone = count.get(&name.to_lowercase()).is_some_and(|&n| n == 1);
-        given.push(if alone {
+        ids.push(if alone {
             name
         } else {
             format!("{name}-{}", short_hash(path))
         });
     }
-    given
+    ids
 }
 
 fn short_hash(text: &str) -> String {
@@ -112,14 +112,14 @@ fn short_hash(text: &str) -> String {
 }
 
 fn safe(name: &str) -> String {
-    let kept = |c: char| {
+    let safe_char = |c: char| {
         if c.is_ascii_alphanumeric() || "._-".contains(c) {
             c
         } else {
             '_'
         }
     };
-    let text: String = name.chars().map(kept).take(LONGEST).collect();
+    let text: String = name.chars().map(safe_char).take(LONGEST).collect();
     let text = text.trim_start_matches(['.', '-']).trim_end_matches('.');
     match text {
         "" => "clip".to_owned(),
@@ -187,14 +187,14 @@ mod tests {
 
     #[test]
     fn ids_are_safe_unique_and_do_not_depend_on_the_order() {
-        let given = |names: &[(&str, &str)]| {
+        let ids_of = |names: &[(&str, &str)]| {
             let owned: Vec<_> = names
                 .iter()
                 .map(|(a, b)| ((*a).to_owned(), (*b).to_owned()))
                 .collect();
             ids(&owned)
         };
-        let odd = given(&[
+        let odd = ids_of(&[
             ("../../etc", "1"),
             ("a b\nc", "2"),
             ("ü", "3"),
@@ -204,7 +204,7 @@ mod tests {
         ]);
         assert_eq!(odd, ["_.._etc", "a_b_c", "_", "con_", "clip", "x"]);
         let long = "l".repeat(500);
-        let clash = given(&[
+        let clash = ids_of(&[
             ("Clip", "/a/Clip.mp4"),
             ("clip", "/b/clip.mp4"),
             (&long, "l"),
@@ -214,7 +214,7 @@ mod tests {
             "{clash:?}"
         );
         assert_ne!(clash[0].to_lowercase(), clash[1].to_lowercase());
-        let turned = given(&[("clip", "/b/clip.mp4"), ("Clip", "/a/Clip.mp4")]);
+        let turned = ids_of(&[("clip", "/b/clip.mp4"), ("Clip", "/a/Clip.mp4")]);
         assert_eq!((&turned[0], &turned[1]), (&clash[1], &clash[0]));
         assert!(
             odd.iter().chain(&clash).all(|id| is_safe(id)),

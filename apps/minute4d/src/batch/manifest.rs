@@ -139,15 +139,15 @@ impl Manifest {
         let header: Header = serde_json::from_str(first)
             .map_err(|e| format!("line 1 is not the first line of a manifest ({e})"))?;
         if header.format != FORMAT || header.version != VERSION {
-            let found = format!("{} {}", header.format, header.version);
+            let version = format!("{} {}", header.format, header.version);
             return Err(format!(
-                "line 1 is of {found:?}, and {FORMAT} {VERSION} is read here"
+                "line 1 is of {version:?}, and {FORMAT} {VERSION} is read here"
             ));
         }
         if header.run.blake3() != header.settings_blake3 {
             return Err("line 1: settings or arguments were changed by hand".to_owned());
         }
-        let (mut jobs, mut seen) = (Vec::new(), HashSet::new());
+        let (mut jobs, mut ids) = (Vec::new(), HashSet::new());
         for (i, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let line_number = i + 1;
             let job: Job = serde_json::from_str(line)
@@ -158,7 +158,7 @@ impl Manifest {
                     job.id
                 ));
             }
-            if !seen.insert(job.id.to_lowercase()) {
+            if !ids.insert(job.id.to_lowercase()) {
                 return Err(format!(
                     "line {line_number}: the id {:?} was given before",
                     job.id

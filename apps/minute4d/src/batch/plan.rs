@@ -92,9 +92,9 @@ const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 
 /// The clips that a user named: files and folders, each once, with their whole paths.
-pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, Error> {
+pub(crate) fn inputs(arguments: &[String], recursive: bool) -> Result<Vec<PathBuf>, Error> {
     let mut paths = BTreeSet::new();
-    for one in given {
+    for one in arguments {
         if one.contains("://") {
             let what = "is an address, not a path; mount the store as a folder, or download the clip first";
             return Err(Refusal::bad_input(format!("{one} {what}")).into());
@@ -104,16 +104,16 @@ pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, 
     Ok(paths.into_iter().collect())
 }
 
-fn nothing(given: &str, recursive: bool) -> Refusal {
+fn nothing(argument: &str, recursive: bool) -> Refusal {
     let hint = if recursive {
         ""
     } else {
         "; --recursive looks into folders in it"
     };
-    Refusal::bad_input(format!("{given} holds no video{hint}"))
+    Refusal::bad_input(format!("{argument} holds no video{hint}"))
 }
 
-fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), Error> {
+fn add(path: &Path, recursive: bool, files: &mut BTreeSet<PathBuf>) -> Result<(), Error> {
     // `canonicalize` follows links, so that a clip that is named twice is one clip.
     let path = fs::canonicalize(path).map_err(|e| match e.kind() {
         io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
@@ -124,14 +124,14 @@ fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<()
     })?;
     if !path.is_dir() {
         files::check(&path).map_err(Error::read(&path))?;
-        found.insert(path);
+        files.insert(path);
         return Ok(());
     }
     let clips = clips_of(&path, recursive)?;
     if clips.is_empty() {
         return Err(nothing(&path.display().to_string(), recursive).into());
     }
-    found.extend(clips);
+    files.extend(clips);
     Ok(())
 }
 
@@ -199,8 +199,8 @@ mod tests {
         ] {
             touch(&root.join(name));
         }
-        let found = |given: &[String], recursive: bool| -> Vec<String> {
-            let all = inputs(given, recursive).unwrap();
+        let names = |arguments: &[String], recursive: bool| -> Vec<String> {
+            let all = inputs(arguments, recursive).unwrap();
             all.iter()
                 .map(|p| {
                     p.strip_prefix(&root)
@@ -211,29 +211,33 @@ mod tests {
                 })
                 .collect()
         };
-        assert_eq!(found(&[at("v")], false), ["v/a.MOV", "v/b.mp4"]);
+        assert_eq!(names(&[at("v")], false), ["v/a.MOV", "v/b.mp4"]);
         let all = ["v/a.MOV", "v/b.mp4", "v/cap", "v/in/d.mkv", "v/pics"];
-        assert_eq!(found(&[at("v")], true), all);
+        assert_eq!(names(&[at("v")], true), all);
         assert_eq!(
-            found(&[at("v/pics")], false),
+            names(&[at("v/pics")], false),
             ["v/pics"],
             "images are a clip"
         );
         assert_eq!(
-            found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false),
+            names(&[at("v/b.mp4"), at("v/in/../b.mp4")], false),
             ["v/b.mp4"]
         );
         assert_eq!(
-            found(&[at("v/notes.txt")], false),
+            names(&[at("v/notes.txt")], false),
             ["v/notes.txt"],
             "a named file is always a clip"
         );
         assert_eq!(
-            found(&[at("v/b.mp4"), at("v/in")], false),
+            names(&[at("v/b.mp4"), at("v/in")], false),
             ["v/b.mp4", "v/in/d.mkv"]
         );
 
-        let message = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
+        let message = |argument: &str| {
+            inputs(&[argument.to_owned()], false)
+                .unwrap_err()
+                .to_string()
+        };
         assert!(message(&at("none.mp4")).contains("there is no"));
         fs::create_dir(root.join("empty")).unwrap();
         assert!(message(&at("empty")).contains("--recursive"));

@@ -97,16 +97,16 @@ fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, Error> {
     }
     for (name, file) in &run.files {
         let path = folder.join(name);
-        let found = match fs::metadata(&path) {
-            Ok(found) => found.len(),
+        let size = match fs::metadata(&path) {
+            Ok(metadata) => metadata.len(),
             Err(e) if e.kind() == ErrorKind::NotFound => {
                 return Ok(Err(format!("{name} is missing")));
             }
             Err(source) => return Err(Error::Read { path, source }),
         };
-        if found != file.bytes {
+        if size != file.bytes {
             return Ok(Err(format!(
-                "{name} has {found} bytes and should have {}",
+                "{name} has {size} bytes and should have {}",
                 file.bytes
             )));
         }

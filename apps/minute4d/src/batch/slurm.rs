@@ -218,12 +218,12 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, Refusa
         let message = format!("it answered {answer:?}, which is not a job id");
         return Err(refused("sbatch", &message, script));
     }
-    let known = call(
+    let reply = call(
         "scontrol",
         &["show".as_ref(), "job".as_ref(), id.as_ref()],
         script,
     )?;
-    if !known.contains(&format!("={id}")) {
+    if !reply.contains(&format!("={id}")) {
         let message = format!("it does not know job {id} although sbatch took it");
         return Err(refused("scontrol", &message, script));
     }

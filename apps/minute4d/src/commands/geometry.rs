@@ -57,23 +57,23 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         observer: output,
     };
     let record = crate::run::geometry::make(input, out, &job)?;
-    if let Some(found) = &record.found {
+    if let Some(summary) = &record.found {
         output.note(&format!(
             "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % dynamic, reprojection error {:.2} px",
-            found.frames,
-            found.size[0],
-            found.size[1],
-            found.fov_deg,
-            100.0 * found.moving_share,
-            found.residual_px
+            summary.frames,
+            summary.size[0],
+            summary.size[1],
+            summary.fov_deg,
+            100.0 * summary.moving_share,
+            summary.residual_px
         ));
-        if let Some(confidence) = &found.confidence {
+        if let Some(confidence) = &summary.confidence {
             output.note(&confidence.description());
         }
         if cfg!(feature = "nets")
             && asked == Segmenter::Auto
-            && found.segmenter == Segmenter::None.name()
-            && found.keyframes.is_none()
+            && summary.segmenter == Segmenter::None.name()
+            && summary.keyframes.is_none()
         {
             output.note("MobileSAM improves the masks of dynamic objects: `minute4d weights fetch mobile-sam`");
         }

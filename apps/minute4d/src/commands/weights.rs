@@ -212,7 +212,7 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
             .map(|name| find_entry(name))
             .collect::<Result<_, _>>()?,
     };
-    let mut found = Vec::new();
+    let mut files = Vec::new();
     for entry in entries {
         let (condition, reason) = match store.verify(entry).map_err(minute4d::Error::from)? {
             Condition::Published => ("published", None),
@@ -226,7 +226,7 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
                 .into());
             }
         };
-        found.push(CheckedFile {
+        files.push(CheckedFile {
             name: entry.name,
             condition,
             reason,
@@ -236,16 +236,16 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
         Some(reason) => format!("{}: {}: {reason}\n", f.name, f.condition),
         None => format!("{}: {}\n", f.name, f.condition),
     };
-    let text: String = found.iter().map(line).collect();
+    let text: String = files.iter().map(line).collect();
     output.result(
         if text.is_empty() {
             "no weights are installed\n"
         } else {
             &text
         },
-        minute4d::plain_json(&found)?,
+        minute4d::plain_json(&files)?,
     );
-    match found.iter().find(|f| f.condition == "damaged") {
+    match files.iter().find(|f| f.condition == "damaged") {
         None => Ok(()),
         Some(bad) => Err(Failure {
             code: Category::BadInput.exit_code(),

@@ -354,8 +354,8 @@ pub fn settings_over(
     if let Some(path) = &args.config {
         layers = layers.file(path)?;
     }
-    for given in &args.set {
-        layers = layers.set(given)?;
+    for assignment in &args.set {
+        layers = layers.set(assignment)?;
     }
     let profile = args.profile.or_else(|| layers.profile());
     let mut base = built_in(profile.unwrap_or_default());

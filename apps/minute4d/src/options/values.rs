@@ -8,9 +8,9 @@ pub fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
     values: [(&'static str, &'static str, T); N],
 ) -> impl TypedValueParser<Value = T> {
     let named = values.map(|(name, help, _)| PossibleValue::new(name).help(help));
-    PossibleValuesParser::new(named).try_map(move |given| {
-        let found = values.iter().find(|(name, ..)| *name == given);
-        found
+    PossibleValuesParser::new(named).try_map(move |text| {
+        let entry = values.iter().find(|(name, ..)| *name == text);
+        entry
             .map(|&(.., value)| value)
             .ok_or("it is none of the possible values")
     })

@@ -119,12 +119,12 @@ impl MetricsLog {
     /// The log of an interrupted run, up to the iteration that was saved.
     pub fn up_to(path: &Path, iteration: usize) -> Self {
         let text = files::read_text(path, MAX_RECORD_BYTES).unwrap_or_default();
-        let kept = |line: &&str| {
+        let is_earlier = |line: &&str| {
             serde_json::from_str::<MetricsEvent>(line).is_ok_and(|e| e.iteration <= iteration)
         };
         Self {
             path: path.to_path_buf(),
-            lines: text.lines().filter(kept).map(str::to_owned).collect(),
+            lines: text.lines().filter(is_earlier).map(str::to_owned).collect(),
         }
     }
 
@@ -188,10 +188,10 @@ mod tests {
         resumed.push(&event(150));
         resumed.write().unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
-        let found: Vec<usize> = text
+        let iterations: Vec<usize> = text
             .lines()
             .map(|l| serde_json::from_str::<MetricsEvent>(l).unwrap().iteration)
             .collect();
-        assert_eq!(found, [50, 100, 150]);
+        assert_eq!(iterations, [50, 100, 150]);
     }
 }

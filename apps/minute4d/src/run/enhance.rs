@@ -110,15 +110,20 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         .chain(images.iter().map(PathBuf::as_path))
         .collect();
     let mut folder = CaptureFolder::open(out, job.existing, record, &inputs, job.observer)?;
-    let (capture, found) = folder.stage(STAGE, |folder, steps| {
+    let (capture, instance_report) = folder.stage(STAGE, |folder, steps| {
         let device = if plan.has_network() {
             job.device.choice.for_networks()?
         } else {
             NetworkDevice::processor()
         };
-        let (capture, found) = enhance::apply(capture, &plan, settings, &device, steps)?;
-        enhance::write(&folder.next(), &capture, found.as_ref(), steps.observer())?;
-        Ok((capture, found))
+        let (capture, instance_report) = enhance::apply(capture, &plan, settings, &device, steps)?;
+        enhance::write(
+            &folder.next(),
+            &capture,
+            instance_report.as_ref(),
+            steps.observer(),
+        )?;
+        Ok((capture, instance_report))
     })?;
     let seconds = folder.record.seconds;
     Ok(EnhanceReport {
@@ -126,7 +131,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         segmenter: plan.segmenter().to_owned(),
         tracker: plan.tracker().to_owned(),
         networks: plan.used,
-        instances: found.map_or(0, |report| report.instances.len()),
+        instances: instance_report.map_or(0, |report| report.instances.len()),
         moving_share: [before, enhance::moving_share(&capture)],
         tracks: capture.tracks.as_ref().map_or(0, Tracks::count),
         seconds,

@@ -61,14 +61,14 @@ pub(crate) fn of_source(
         return Ok(earlier);
     }
     folder.stage(STAGE, |folder, steps| {
-        let made = compute(input, &plan, steps)?;
+        let result = compute(input, &plan, steps)?;
         enhance::write(
             &folder.next(),
-            &made.capture,
-            made.objects.as_ref(),
+            &result.capture,
+            result.objects.as_ref(),
             steps.observer(),
         )?;
-        folder.record.found = Some(made.summary);
+        folder.record.found = Some(result.summary);
         Ok(())
     })?;
     Ok(folder.record)

@@ -58,14 +58,14 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     Workspace::open(out, input, source.clone(), job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
         let recorder = RecordingObserver::new(job.observer).until(clock.end());
-        let made = geometry::of_source(input, source, &folder, &job.of_geometry(&recorder))
+        let outcome = geometry::of_source(input, source, &folder, &job.of_geometry(&recorder))
             .map_err(|error| clock.blame(error, geometry::STAGE, job.observer.cancelled()))?;
         let stage = StageRecord {
-            key: made.key,
+            key: outcome.key,
             done: true,
-            seconds: made.seconds,
-            peak_memory_bytes: made.peak_memory_bytes,
-            warnings: made.warnings,
+            seconds: outcome.seconds,
+            peak_memory_bytes: outcome.peak_memory_bytes,
+            warnings: outcome.warnings,
         };
         run.record.stages.insert(geometry::STAGE.to_owned(), stage);
         let capture = train::read(&folder, &job.settings, job.observer)?;

@@ -142,8 +142,16 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
         path: run.to_path_buf(),
     })?;
     // Warnings about the capture were given while the scene was made.
-    let made = run.join(CAPTURE_FOLDER);
-    let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
+    let capture_folder = run.join(CAPTURE_FOLDER);
+    let capture = train::read(
+        if capture_folder.is_dir() {
+            &capture_folder
+        } else {
+            input
+        },
+        settings,
+        &Silent,
+    )?;
     let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
     let frame = scene.source.len() / 2;
     let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {

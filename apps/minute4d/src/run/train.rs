@@ -128,13 +128,13 @@ pub(crate) fn stage(
         } => (because, seconds_before),
     };
     let same_key = key.clone();
-    let made = run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
+    let result = run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
         train(run, &capture.capture, &same_key, keeper)
     })?;
     // Only now: until the record says that the scene is whole, they are what a killed run continues
     // from.
     folder::remove_checkpoints(&run.folder)?;
-    Ok(made)
+    Ok(result)
 }
 
 fn train(

@@ -39,7 +39,7 @@ pub struct Viewing {
     /// The scene that is shown, or that could not be.
     shown: Option<Stamp>,
     /// State at the last check: a file is read once two checks agree.
-    found: Option<Stamp>,
+    last_stamp: Option<Stamp>,
     metrics: Option<Stamp>,
     /// Last iteration announced to the pages.
     told: usize,
@@ -60,7 +60,7 @@ pub fn view(path: &Path, port: u16, observer: &dyn Observer) -> Result<Viewing, 
     let mut viewing = Viewing {
         server: Server::start(Arc::clone(&hub), port)?,
         shown: None,
-        found: None,
+        last_stamp: None,
         metrics: None,
         told: 0,
         with_frames: false,
@@ -96,8 +96,8 @@ impl Viewing {
 
     fn look(&mut self, observer: &dyn Observer) {
         let newest = self.source.newest();
-        let still = newest == self.found;
-        self.found.clone_from(&newest);
+        let still = newest == self.last_stamp;
+        self.last_stamp.clone_from(&newest);
         if let Some(stamp) = newest.filter(|stamp| still && self.shown.as_ref() != Some(stamp)) {
             match self.show(stamp.clone(), observer) {
                 Ok(()) => {}
@@ -269,9 +269,10 @@ impl Source {
             return None;
         }
         let html = files::read_text(&self.path.join(VIEWER_FILE), u64::MAX).ok();
-        let kept = html.and_then(|html| page::read_frames(&html).ok().flatten());
-        if let Some(kept) = kept.filter(|f| f.index.offsets.len() == scene.source.len() + 1) {
-            return Some(kept);
+        let from_page = html.and_then(|html| page::read_frames(&html).ok().flatten());
+        if let Some(frames) = from_page.filter(|f| f.index.offsets.len() == scene.source.len() + 1)
+        {
+            return Some(frames);
         }
         let input = self.record().map(|r| PathBuf::from(r.input.path));
         let captures = [Some(self.path.join(CAPTURE_FOLDER)), input];

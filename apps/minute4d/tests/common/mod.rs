@@ -59,8 +59,8 @@ impl Ended {
 
     pub fn result(&self) -> Value {
         let events = self.events();
-        let found = events.iter().find(|e| e["event"] == "result");
-        found.unwrap_or_else(|| panic!("no result in {} {}", self.stdout, self.stderr))["result"]
+        let event = events.iter().find(|e| e["event"] == "result");
+        event.unwrap_or_else(|| panic!("no result in {} {}", self.stdout, self.stderr))["result"]
             .clone()
     }
 }
@@ -219,11 +219,11 @@ impl Scratch {
 /// nor replace that one.
 #[cfg(unix)]
 pub fn device(dir: &Scratch, name: &str) {
-    let made = Command::new("mknod")
+    let result = Command::new("mknod")
         .arg(dir.path(name))
         .args(["c", "1", "7"])
         .output();
-    if !made.is_ok_and(|made| made.status.success()) {
+    if !result.is_ok_and(|output| output.status.success()) {
         std::os::unix::fs::symlink("/dev/full", dir.path(name)).unwrap();
     }
 }

@@ -45,8 +45,8 @@ const MUTATED: usize = 100;
 
 /// Earlier findings, valid files, and those with extreme numbers and malformed ones made of them.
 fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
-    let found = corpus(stage.reader().name).unwrap();
-    let found = found
+    let files = corpus(stage.reader().name).unwrap();
+    let inputs = files
         .into_iter()
         .map(|(name, bytes)| (format!("corpus/{name}"), bytes));
     let seeds = stage.seeds().to_vec();
@@ -57,7 +57,7 @@ fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
         .enumerate()
         .map(|(i, bytes)| (format!("seed {i}"), bytes));
     Box::new(
-        found
+        inputs
             .chain(valid)
             .chain(
                 seeds

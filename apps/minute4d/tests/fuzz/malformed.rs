@@ -98,13 +98,13 @@ pub fn malformed(valid: Vec<u8>, most: usize) -> impl Iterator<Item = (String, V
     let room = most.saturating_sub(whole.len()).max(1);
     let step = all.len().div_ceil(room).max(1);
     // another phase in each group of as many, so that not the same extreme is taken each time
-    let taken = all
+    let selection = all
         .into_iter()
         .enumerate()
         .filter(move |(i, _)| (i + i / step).is_multiple_of(step));
     whole
         .into_iter()
-        .chain(taken.map(move |(_, mutation)| mutation.on(&valid)))
+        .chain(selection.map(move |(_, mutation)| mutation.on(&valid)))
 }
 
 /// `count` random mutations of a valid file, each once or sometimes twice, with what was done.

@@ -134,11 +134,11 @@ fn of_text(text: &str) -> Vec<Range<usize>> {
         i += 1;
     }
     let step = all.len().div_ceil(FIELDS).max(1);
-    let taken = all
+    let selection = all
         .into_iter()
         .enumerate()
         .filter(|(i, (_, new))| *new || i.is_multiple_of(step));
-    taken.map(|(_, (place, _))| place).collect()
+    selection.map(|(_, (place, _))| place).collect()
 }
 
 #[cfg(test)]

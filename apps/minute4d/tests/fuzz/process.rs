@@ -66,9 +66,9 @@ pub fn work(
         *to.said.lock().unwrap() = info.to_string().replace('\n', " ")
     }));
     let stage = reader.stage()?;
-    let seen = watched.clone();
+    let watch = watched.clone();
     thread::spawn(move || {
-        while seen.began.lock().unwrap().elapsed() < 2 * MAX_TIME {
+        while watch.began.lock().unwrap().elapsed() < 2 * MAX_TIME {
             thread::sleep(Duration::from_secs(1));
         }
         abort();
@@ -86,7 +86,7 @@ pub fn work(
         let start = Instant::now();
         *watched.began.lock().unwrap() = start;
         let outcome = catch_unwind(AssertUnwindSafe(|| stage.read(&bytes)));
-        let (taken, time) = ((meter.peak)().saturating_sub(before), start.elapsed());
+        let (memory_bytes, time) = ((meter.peak)().saturating_sub(before), start.elapsed());
         let fault = match outcome {
             Err(_) => Some(watched.said.lock().unwrap().clone()),
             Ok(outcome) => {
@@ -103,8 +103,14 @@ pub fn work(
                 stage.fault(&outcome, is_number(&name))
             }
         };
-        let much = taken > FREE + TIMES * bytes.len();
-        let much = much.then(|| format!("{} MiB of memory for {} bytes", taken >> 20, bytes.len()));
+        let much = memory_bytes > FREE + TIMES * bytes.len();
+        let much = much.then(|| {
+            format!(
+                "{} MiB of memory for {} bytes",
+                memory_bytes >> 20,
+                bytes.len()
+            )
+        });
         let slow = (time > MAX_TIME).then(|| format!("{time:.1?}"));
         if let Some(why) = fault.or(much).or(slow) {
             let short: String = why.chars().take(300).collect();

@@ -518,8 +518,8 @@ fn signals_end_a_run_in_time() {
 #[test]
 fn a_port_that_is_taken_is_named() {
     let dir = Scratch::new();
-    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = taken.local_addr().unwrap().port();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
     let mut command = dir.command(&format!(
         "view '{}' --no-open --port {port}",
         finished_run()

@@ -85,7 +85,7 @@ pub(crate) fn checkpoints(folder: &Path) -> Vec<(usize, PathBuf)> {
     let Ok(entries) = fs::read_dir(folder.join(CHECKPOINT_FOLDER)) else {
         return Vec::new();
     };
-    let mut found: Vec<(usize, PathBuf)> = entries
+    let mut checkpoints: Vec<(usize, PathBuf)> = entries
         .filter_map(|entry| {
             let path = entry.ok()?.path();
             let iteration = path
@@ -97,8 +97,8 @@ pub(crate) fn checkpoints(folder: &Path) -> Vec<(usize, PathBuf)> {
             Some((iteration, path))
         })
         .collect();
-    found.sort();
-    found
+    checkpoints.sort();
+    checkpoints
 }
 
 /// Removes every checkpoint, and their folder if nothing else is in it.

@@ -34,7 +34,7 @@ pub(crate) struct RunFolder {
     work: PathBuf,
     replaces: bool,
     /// The folder that keeps its old files: the input.
-    kept: Option<&'static str>,
+    input_folder: Option<&'static str>,
 }
 
 impl RunFolder {
@@ -111,13 +111,13 @@ impl RunFolder {
         for (_, file) in hidden(&work.join(CHECKPOINT_FOLDER))? {
             remove_file(&file)?;
         }
-        let kept = is_input.then_some(CAPTURE_FOLDER);
+        let input_folder = is_input.then_some(CAPTURE_FOLDER);
         Ok((
             Self {
                 results,
                 work,
                 replaces,
-                kept,
+                input_folder,
             },
             earlier,
         ))
@@ -136,7 +136,7 @@ impl RunFolder {
     /// Puts the results of the complete run into their place.
     pub fn commit(&mut self) -> Result<(), Error> {
         if self.replaces {
-            self.results.commit(self.kept)?;
+            self.results.commit(self.input_folder)?;
             Ok(())
         } else {
             Ok(self.results.release()?)

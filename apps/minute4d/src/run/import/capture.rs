@@ -186,7 +186,7 @@ fn report(
     let lens = frames.first().map(|f| f.camera.intrinsics);
     let size = lens.map_or([0, 0], |k| [k.width, k.height]);
     let pixels = (frames.len() * size[0] * size[1]).max(1) as f64;
-    let known = frames
+    let known_pixels = frames
         .iter()
         .filter_map(|f| f.depth.as_ref())
         .flat_map(|d| d.every(1))
@@ -201,7 +201,7 @@ fn report(
         size,
         fov_deg: lens.map_or(0.0, |k| k.horizontal_fov_rad().to_degrees()),
         duration_s: capture.duration_s,
-        known_share: known as f64 / pixels,
+        known_share: known_pixels as f64 / pixels,
         moving_share: masks().next().map(|_| moving as f64 / pixels),
         held_out,
         seconds,

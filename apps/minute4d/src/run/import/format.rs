@@ -66,7 +66,7 @@ impl ImportFormat {
                 )));
             }
             let first = path.join(frame_name(0));
-            let (path, known) = (path.display(), Self::names());
+            let (path, names) = (path.display(), Self::names());
             return Err(Refusal::bad_input(if first.is_file() {
                 format!(
                     "{path} is a folder: a sequence cannot be imported as a clip, since the correspondence of splats between files is \
@@ -75,14 +75,14 @@ impl ImportFormat {
                 )
             } else {
                 format!(
-                    "{path} is a folder with none of the known layouts; if it has one, select it with --format, one of {known}"
+                    "{path} is a folder with none of the known layouts; if it has one, select it with --format, one of {names}"
                 )
             }));
         }
         let format = Format::of_path(path).ok_or_else(|| {
-            let (path, known) = (path.display(), Self::names());
+            let (path, names) = (path.display(), Self::names());
             Refusal::usage(format!(
-                "the format of {path} is not recognised by its name; add --format, one of {known}"
+                "the format of {path} is not recognised by its name; add --format, one of {names}"
             ))
         })?;
         if SCENES.contains(&format) {
@@ -95,8 +95,8 @@ impl ImportFormat {
 
 /// The refusal of a format that is written only.
 pub(super) fn write_only(format: Format) -> Refusal {
-    let (name, known) = (format.name(), ImportFormat::names());
-    Refusal::usage(format!("{name} files cannot be imported; {known} can"))
+    let (name, names) = (format.name(), ImportFormat::names());
+    Refusal::usage(format!("{name} files cannot be imported; {names} can"))
 }
 
 impl FromStr for ImportFormat {
@@ -112,9 +112,9 @@ impl FromStr for ImportFormat {
         let written = Format::all().find(|f| f.name() == text);
         Err(written.map_or_else(
             || {
-                let known = Self::names();
+                let names = Self::names();
                 Refusal::usage(format!(
-                    "no format is called {text}; these can be imported: {known}"
+                    "no format is called {text}; these can be imported: {names}"
                 ))
             },
             write_only,

@@ -193,7 +193,7 @@ impl ImportJob {
     /// An option that has a meaning for captures alone and was given.
     fn of_captures(&self) -> Option<&'static str> {
         let (o, d) = (&self.options, ImportOptions::default());
-        let given = [
+        let options = [
             ("--fps", o.fps != d.fps),
             ("--images", o.images != d.images),
             ("--depth", o.depth != d.depth),
@@ -201,7 +201,7 @@ impl ImportJob {
             ("--factor", o.factor != d.factor),
             ("--allow-outside", o.reach != d.reach),
         ];
-        given
+        options
             .into_iter()
             .find(|(_, is_given)| *is_given)
             .map(|(name, _)| name)

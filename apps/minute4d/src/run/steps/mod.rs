@@ -53,12 +53,12 @@ impl<'a> StepFolder<'a> {
             writer,
         };
         let of_key = files::read(&steps.folder.join(KEY_FILE), MAX_RECORD_BYTES)
-            .is_ok_and(|found| found == key.as_bytes());
+            .is_ok_and(|bytes| bytes == key.as_bytes());
         if !of_key {
             Self::remove_from(folder);
-            let made = fs::create_dir_all(&steps.folder)
+            let result = fs::create_dir_all(&steps.folder)
                 .and_then(|()| write(&steps.folder, KEY_FILE, &[key.as_bytes()]));
-            if let Err(error) = made {
+            if let Err(error) = result {
                 steps.give_up(&error);
             }
         }

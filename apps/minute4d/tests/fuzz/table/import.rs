@@ -19,8 +19,9 @@ fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
     let _ = m4_io::dataset::detect(path);
     Outcome::of(
         m4_io::dataset::read(path, format, options, &Silent),
-        |found| {
-            reader::capture(&found.train).or_else(|| found.test.as_ref().and_then(reader::capture))
+        |captures| {
+            reader::capture(&captures.train)
+                .or_else(|| captures.test.as_ref().and_then(reader::capture))
         },
     )
 }
@@ -329,7 +330,7 @@ fn side_files() -> Vec<Reader> {
         "exr_other/parts.exr",
     ];
     let pngs = &["masks_palette/frame8.png", "masks_png/frame8.png"];
-    let seen = |p: &Path| Outcome::of(read_mask(p), |_| None);
+    let outcome_of = |p: &Path| Outcome::of(read_mask(p), |_| None);
     vec![
         alone("side-exr", "a.exr", contents(exrs), move |p| {
             Outcome::of(decode_exr(&bytes(p)), reader::map)
@@ -351,7 +352,7 @@ fn side_files() -> Vec<Reader> {
         },
         Reader {
             wrap: Wrap::Png,
-            ..alone("side-mask-png", "a.png", contents(pngs), seen)
+            ..alone("side-mask-png", "a.png", contents(pngs), outcome_of)
         },
     ]
 }

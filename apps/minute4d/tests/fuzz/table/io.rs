@@ -271,13 +271,13 @@ fn sealed_scene(path: &Path) -> Outcome {
         .err()
         .map(ToString::to_string)
         .unwrap_or_default();
-    if let Some((found, expected)) = checksums(&message) {
+    if let Some((actual, expected)) = checksums(&message) {
         let mut bytes = std::fs::read(path).unwrap_or_default();
         let at = bytes
             .windows(expected.len())
             .position(|w| w == expected.as_bytes());
-        if let Some(at) = at.filter(|_| expected.len() == found.len()) {
-            bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
+        if let Some(at) = at.filter(|_| expected.len() == actual.len()) {
+            bytes[at..at + actual.len()].copy_from_slice(actual.as_bytes());
             if std::fs::write(path, bytes).is_ok() {
                 return Outcome::of(safetensors::read(path), |file| reader::scene(&file.scene));
             }
@@ -288,11 +288,11 @@ fn sealed_scene(path: &Path) -> Outcome {
 
 /// The checksum that a file has, and the one that it says.
 fn checksums(message: &str) -> Option<(&str, &str)> {
-    let (found, rest) = message
+    let (actual, rest) = message
         .split_once("its checksum is ")?
         .1
         .split_once(" where ")?;
-    Some((found, rest.split_once(" was written")?.0))
+    Some((actual, rest.split_once(" was written")?.0))
 }
 
 /// Nothing but what is decoded here, and few frames.
@@ -354,10 +354,10 @@ fn splats() -> Vec<Reader> {
     };
     vec![
         alone("formats-4dgs", "a.4dgs", clips, |p| {
-            Outcome::of(fourdgs::read(p), |found| reader::scene(&found.scene))
+            Outcome::of(fourdgs::read(p), |file| reader::scene(&file.scene))
         }),
         alone("formats-ply", "a.ply", instants, |p| {
-            Outcome::of(ply::read(p), |found| reader::scene(&found.scene))
+            Outcome::of(ply::read(p), |file| reader::scene(&file.scene))
         }),
     ]
 }
