@@ -27,22 +27,22 @@ pub struct BaselineScore {
     pub mean: MeanScore,
 }
 
-/// Scores the baselines on sets of views. `given` has the training frames of the data set; `own`,
-/// in the world of the scene, the geometry that the scene was trained on, where that is another.
+/// Scores the baselines on sets of held-out views. `input` has the training frames of the data set.
+/// `own` is the geometry that the scene was trained on, in the world of the scene, if it differs.
 pub(super) fn score(
-    given: &Capture,
+    input: &Capture,
     own: Option<&Capture>,
     held: &HeldOut,
     sets: &[(&str, &Capture)],
     observer: &dyn Observer,
 ) -> Result<Vec<BaselineScore>, Error> {
-    let (known, camera): (&Capture, &(dyn Fn(&CaptureFrame) -> Camera + Sync)) = match own {
+    let (capture, camera): (&Capture, &(dyn Fn(&CaptureFrame) -> Camera + Sync)) = match own {
         Some(own) => (own, &|view| held.camera(view)),
-        None => (given, &|view| view.camera),
+        None => (input, &|view| view.camera),
     };
-    let flat = billboards(known);
-    let (warp, flat) = (Warp::new(known), Warp::new(&flat));
-    let upper = own.is_some().then(|| Warp::new(given));
+    let flat = billboards(capture);
+    let (warp, flat) = (Warp::new(capture), Warp::new(&flat));
+    let upper = own.is_some().then(|| Warp::new(input));
     let mut rows = Vec::new();
     for &(set, views) in sets {
         let share = |view: &CaptureFrame| view.t / (views.time_frames.max(2) - 1) as f64;
@@ -74,7 +74,7 @@ pub(super) fn score(
             painted(
                 warp.background(&camera(view)),
                 view,
-                nearest(given, share(view)),
+                nearest(input, share(view)),
             )
         })?;
     }
@@ -122,7 +122,8 @@ fn billboards(capture: &Capture) -> Capture {
             .flat_map(|(_, pixels)| pixels)
             .copied()
             .collect();
-        let known = |&p: &(usize, usize)| Some(depth[to(p)]).filter(|z| z.is_finite() && *z > 0.0);
+        let depth_at =
+            |&p: &(usize, usize)| Some(depth[to(p)]).filter(|z| z.is_finite() && *z > 0.0);
         let mut flat = Vec::new();
         for (_, pixels) in objects {
             let foot = pixels.iter().map(|p| p.1).max().unwrap_or(0);
@@ -131,10 +132,10 @@ fn billboards(capture: &Capture) -> Capture {
                 feet.flat_map(|&(x, y)| (y + 1..(y + 1 + below).min(h)).map(move |v| (x, v)));
             let mut ground: Vec<f32> = ground
                 .filter(|p| !dynamic.contains(p))
-                .filter_map(|p| known(&p))
+                .filter_map(|p| depth_at(&p))
                 .collect();
             let z = median(&mut ground)
-                .or_else(|| median(&mut pixels.iter().filter_map(known).collect::<Vec<f32>>()));
+                .or_else(|| median(&mut pixels.iter().filter_map(depth_at).collect::<Vec<f32>>()));
             flat.extend(z.map(|z| (z, pixels.iter().map(|&p| to(p)).collect::<Vec<_>>())));
         }
         for (z, pixels) in flat {
@@ -148,9 +149,9 @@ fn billboards(capture: &Capture) -> Capture {
 /// A view's objects in one colour each: the mean of the object of the same number in `frame`, else
 /// of all dynamic pixels there.
 fn painted(mut image: RgbImage, view: &CaptureFrame, frame: Option<&CaptureFrame>) -> RgbImage {
-    let known = frame.map(regions).unwrap_or_default();
+    let areas = frame.map(regions).unwrap_or_default();
     let mean = |counts: &dyn Fn(u16) -> bool| -> Option<[u8; 3]> {
-        let pixels = known
+        let pixels = areas
             .iter()
             .filter(|(id, _)| counts(*id))
             .flat_map(|(_, pixels)| pixels);

@@ -52,7 +52,7 @@ pub(super) fn check(
         data.parent().unwrap_or(data)
     };
     let split = SplitRecord::read(folder)?;
-    let not_split = |found: String| Err(not_split(data, protocol, &found).into());
+    let not_split = |reason: String| Err(not_split(data, protocol, &reason).into());
     match (rules.frames, split) {
         (FrameRule::TestSplit, None) => Ok(None),
         (FrameRule::TestSplit, Some(split)) => {
@@ -79,11 +79,10 @@ pub(super) fn check(
     }
 }
 
-/// The held-out frames of the capture are not those of the protocol; `found` is what the capture
-/// says.
-fn not_split(data: &Path, asked: Protocol, found: &str) -> Refusal {
+/// The refusal of a capture whose held-out frames are not those of the protocol, with the reason.
+fn not_split(data: &Path, asked: Protocol, reason: &str) -> Refusal {
     Refusal::bad_input(format!(
-        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` writes such a capture \
+        "{} was not split by the protocol {asked} ({reason}); `minute4d split CAPTURE --protocol {asked} -o NEW` writes such a capture \
          for training and evaluation",
         data.display()
     ))
@@ -102,9 +101,9 @@ pub(super) fn score(
     let rules = protocol.rules();
     let views = &held.test.frames;
     if let Some(split) = split.as_ref().filter(|s| s.held_out.len() != views.len()) {
-        let (here, there) = (views.len(), split.held_out.len());
-        let found = format!("it lists {here} views where split.json has {there}");
-        return Err(not_split(data, protocol, &found).into());
+        let (here, n_held_out) = (views.len(), split.held_out.len());
+        let reason = format!("it lists {here} views where split.json has {n_held_out}");
+        return Err(not_split(data, protocol, &reason).into());
     }
     let masks = if rules.covisible {
         Masks::find(data, options.covisible.as_deref(), options.reach, observer)?
@@ -135,10 +134,10 @@ pub(super) fn score(
         check_stop(observer, "eval", false)?;
         let (t, reference) = (held.moment(view), PlanarImage::from(&view.rgb));
         let moving = view.mask.as_ref().map(CompactMask::to_mask);
-        let given = held.camera(view);
-        let mut camera = given;
+        let view_camera = held.camera(view);
+        let mut camera = view_camera;
         if let (Some(refiner), Some(rule)) = (&mut refiner, &rules.refine) {
-            let frame = renderer.frame(&given, t)?;
+            let frame = renderer.frame(&view_camera, t)?;
             unrefined.add(
                 &view.name,
                 t,
@@ -148,11 +147,11 @@ pub(super) fn score(
                 moving.as_ref(),
             )?;
             let start = match rule.start {
-                StartPose::Given => given,
-                StartPose::NearestTraining => nearest(held, &given, t),
+                StartPose::Given => view_camera,
+                StartPose::NearestTraining => nearest(held, &view_camera, t),
             };
-            let (found, went) = refiner.refine(&start, t, &reference, rule, observer)?;
-            camera = found;
+            let (estimate, went) = refiner.refine(&start, t, &reference, rule, observer)?;
+            camera = estimate;
             moved.push(went);
         }
         let begin = Instant::now();
@@ -187,7 +186,7 @@ pub(super) fn score(
             }
         }
         lpips.score(&mut images, &view.name, &image, &reference, mask.as_ref())?;
-        if took_part(held, &given, t) {
+        if took_part(held, &view_camera, t) {
             also_training.push(view.name.clone());
         } else {
             without.add(
@@ -302,11 +301,11 @@ fn took_part(held: &HeldOut, view: &Camera, t: f64) -> bool {
     })
 }
 
-fn pose_words(rules: &Rules, given: String, refined: bool) -> String {
+fn pose_words(rules: &Rules, source: String, refined: bool) -> String {
     match (&rules.refine, refined) {
         (Some(rule), true) => {
             let from = match rule.start {
-                StartPose::Given => given,
+                StartPose::Given => source,
                 StartPose::NearestTraining => {
                     "the pose of the training frame nearest in time".to_owned()
                 }
@@ -318,10 +317,10 @@ fn pose_words(rules: &Rules, given: String, refined: bool) -> String {
             )
         }
         (Some(rule), false) => format!(
-            "{given}; peers refine them at test time ({} steps at {}), which was not done here (--refine-poses does it)",
+            "{source}; peers refine them at test time ({} steps at {}), which was not done here (--refine-poses does it)",
             rule.steps, rule.lr
         ),
-        (None, _) => given,
+        (None, _) => source,
     }
 }
 

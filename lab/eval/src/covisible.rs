@@ -59,14 +59,14 @@ struct TrainingView {
 
 impl Masks {
     /// Of the capture in the folder `data`, which may name files within `reach`, or of the folder
-    /// `given`.
+    /// `mask_folder`.
     pub fn find(
         data: &Path,
-        given: Option<&Path>,
+        mask_folder: Option<&Path>,
         reach: Reach,
         observer: &dyn Observer,
     ) -> Result<Self, Error> {
-        if let Some(folder) = given {
+        if let Some(folder) = mask_folder {
             if folder.is_dir() {
                 return Ok(Self::Files(folder.to_path_buf()));
             }
@@ -144,13 +144,13 @@ impl Masks {
                     return Err(Refusal::new(Category::NoInput, message).into());
                 }
                 let mask = read_mask(&path)?.to_mask();
-                let (expected, found) = (view.rgb.size(), mask.size());
-                if expected != found {
+                let (expected, size) = (view.rgb.size(), mask.size());
+                if expected != size {
                     let message = format!(
                         "{} has {} x {} pixels but its view {} x {}; give the masks of the same factor",
                         path.display(),
-                        found.0,
-                        found.1,
+                        size.0,
+                        size.1,
                         expected.0,
                         expected.1
                     );
@@ -167,7 +167,7 @@ impl Training {
     fn of(capture: Capture) -> Result<Self, String> {
         let of = capture.frames.len();
         let step = of.div_ceil(MOST_FRAMES).max(1);
-        let seen = |frame: CaptureFrame| {
+        let training_view = |frame: CaptureFrame| {
             let depth = frame.depth?.to_map();
             (depth.size() == frame.rgb.size()).then(|| TrainingView {
                 camera: frame.camera,
@@ -180,7 +180,7 @@ impl Training {
             .frames
             .into_iter()
             .step_by(step)
-            .filter_map(seen)
+            .filter_map(training_view)
             .collect();
         if frames.is_empty() {
             return Err("its training frames have no depth".to_owned());
@@ -206,10 +206,10 @@ impl Training {
         };
         let (width, height) = view.rgb.size();
         let mut counts = CovisibleCounts::new(width, height);
-        for seen in &self.frames {
+        for training_view in &self.frames {
             let training = DepthView {
-                camera: &seen.camera,
-                depth: &seen.depth,
+                camera: &training_view.camera,
+                depth: &training_view.depth,
             };
             counts.add(&seen_by_depth(test, training, DEPTH_TOLERANCE)?)?;
         }
@@ -223,26 +223,34 @@ impl Training {
         let mut out: DepthMap = Plane::filled(width, height, f32::INFINITY);
         let apart = |s: &TrainingView| (s.t - view.t).abs();
         let nearest = self.frames.iter().map(apart).fold(f64::INFINITY, f64::min);
-        for seen in &self.frames {
-            let with_motion = apart(seen) <= nearest;
+        for training_view in &self.frames {
+            let with_motion = apart(training_view) <= nearest;
             let moves = |x, y| {
-                seen.moves
+                training_view
+                    .moves
                     .as_ref()
-                    .is_some_and(|m| m.size() == seen.depth.size() && m[(x, y)] != 0)
+                    .is_some_and(|m| m.size() == training_view.depth.size() && m[(x, y)] != 0)
             };
-            let (w, h) = seen.depth.size();
+            let (w, h) = training_view.depth.size();
             for y in 0..h {
                 for x in 0..w {
-                    let z = f64::from(seen.depth[(x, y)]);
+                    let z = f64::from(training_view.depth[(x, y)]);
                     if !(z.is_finite() && z > 0.0) || (!with_motion && moves(x, y)) {
                         continue;
                     }
-                    let point = seen.camera.unproject(x as f64, y as f64, z);
-                    let ([u, v], there) = camera.project(&point);
-                    if there > 0.0 {
+                    let point = training_view.camera.unproject(x as f64, y as f64, z);
+                    let ([u, v], target_depth) = camera.project(&point);
+                    if target_depth > 0.0 {
                         // as large as the pixel lands
-                        let side = camera.intrinsics.fx / seen.camera.intrinsics.fx * z / there;
-                        draw(&mut out, u, v, there as f32, side.clamp(1.0, MOST_SIDE));
+                        let side = camera.intrinsics.fx / training_view.camera.intrinsics.fx * z
+                            / target_depth;
+                        draw(
+                            &mut out,
+                            u,
+                            v,
+                            target_depth as f32,
+                            side.clamp(1.0, MOST_SIDE),
+                        );
                     }
                 }
             }
@@ -298,8 +306,11 @@ mod tests {
         let mask = masks.mask(&view).unwrap().unwrap();
         for y in 0..16 {
             for x in 0..32 {
-                let seen = mask[(x, y)] != 0;
-                assert!(seen == (x < 26) || x == 26 || x == 25, "{x} {y}: {seen}");
+                let visible = mask[(x, y)] != 0;
+                assert!(
+                    visible == (x < 26) || x == 26 || x == 25,
+                    "{x} {y}: {visible}"
+                );
             }
         }
         assert!(

@@ -307,12 +307,12 @@ fn plain(
             .iter()
             .all(|f| f.depth.is_some() && f.mask.is_some())
     };
-    if let Some(given) = train.filter(complete) {
+    if let Some(input) = train.filter(complete) {
         // a scene trained from a video has its own geometry beside it
         let own =
             sets::read(&out.join(CAPTURE_FOLDER), Split::Train, &read, observer)?.filter(complete);
         let lists: Vec<(&str, &Capture)> = lists.iter().map(|(set, views)| (*set, views)).collect();
-        other.baselines = baselines::score(&given, own.as_ref(), held, &lists, observer)?;
+        other.baselines = baselines::score(&input, own.as_ref(), held, &lists, observer)?;
     }
     let images = reports
         .remove("far")

@@ -101,13 +101,13 @@ pub(super) fn between(
         );
         return Ok(None);
     };
-    let known = trajectory::read(&list, scene.time_frames)?;
-    let pairs = pairs(&known, scene);
+    let truth = trajectory::read(&list, scene.time_frames)?;
+    let pairs = pairs(&truth, scene);
     if same_world(&pairs) {
         return Ok(None);
     }
-    let (known, own): (Vec<Camera>, Vec<Camera>) = pairs.iter().copied().unzip();
-    let Some(map) = placement(&known, &own) else {
+    let (truth_cameras, own): (Vec<Camera>, Vec<Camera>) = pairs.iter().copied().unzip();
+    let Some(map) = placement(&truth_cameras, &own) else {
         observer.warn(&format!(
             "the scene has a world of its own and {} training cameras are not enough to place the held-out cameras in it; \
              the scores mean nothing",
@@ -142,9 +142,9 @@ fn angle_deg(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
 }
 
 /// Cameras of the capture and of the scene that took the same frame.
-fn pairs(known: &[(Camera, f64)], scene: &Scene) -> Vec<(Camera, Camera)> {
+fn pairs(truth: &[(Camera, f64)], scene: &Scene) -> Vec<(Camera, Camera)> {
     let nearest = |t: f64| {
-        let closest = known
+        let closest = truth
             .iter()
             .min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()))?;
         ((closest.1 - t).abs() <= SAME_MOMENT).then_some(closest.0)
@@ -313,12 +313,14 @@ mod tests {
         };
         let pairs: Vec<(Camera, Camera)> = (0..8).map(|i| (camera(i), moved(camera(i)))).collect();
         let (from, to): (Vec<Camera>, Vec<Camera>) = pairs.iter().copied().unzip();
-        let found = placement(&from, &to).unwrap();
-        assert!((found.scale - 2.5).abs() < 1e-9 && (found.rotation - map.rotation).norm() < 1e-9);
-        assert!((found.translation - map.translation).norm() < 1e-9);
-        let alignment = Alignment::new(&found, &pairs);
+        let estimate = placement(&from, &to).unwrap();
+        assert!(
+            (estimate.scale - 2.5).abs() < 1e-9 && (estimate.rotation - map.rotation).norm() < 1e-9
+        );
+        assert!((estimate.translation - map.translation).norm() < 1e-9);
+        let alignment = Alignment::new(&estimate, &pairs);
         assert!(alignment.rmse_percent < 1e-6 && alignment.median_deg < 1e-4);
-        assert_eq!(alignment.similarity(), found);
+        assert_eq!(alignment.similarity(), estimate);
         assert!(!same_world(&pairs));
     }
 
@@ -352,14 +354,14 @@ mod tests {
             lr: 5e-4,
             start: StartPose::Given,
         };
-        let (found, moved) = Refiner::new(&scene, level)
+        let (estimate, moved) = Refiner::new(&scene, level)
             .refine(&start, t, &reference, &rule, &Silent)
             .unwrap();
         let apart = |c: &Camera| {
             let turn = (c.c2w.rotation - truth.c2w.rotation).norm();
             (turn, (c.centre() - truth.centre()).norm() / unit)
         };
-        let ((turn0, shift0), (turn1, shift1)) = (apart(&start), apart(&found));
+        let ((turn0, shift0), (turn1, shift1)) = (apart(&start), apart(&estimate));
         assert!(turn0 > 0.015 && shift0 > 0.01, "{turn0} {shift0}");
         assert!(
             turn1 < 0.2 * turn0 && shift1 < 0.3 * shift0,

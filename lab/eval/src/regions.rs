@@ -28,7 +28,7 @@ pub(super) fn regions(frame: &CaptureFrame) -> Vec<(u16, Vec<(usize, usize)>)> {
     let mut rest: Vec<bool> = (0..w * h)
         .map(|i| mask.covers((i % w, i / w), (w, h)))
         .collect();
-    let mut found = Vec::new();
+    let mut regions = Vec::new();
     for start in 0..w * h {
         if !std::mem::take(&mut rest[start]) {
             continue;
@@ -45,8 +45,8 @@ pub(super) fn regions(frame: &CaptureFrame) -> Vec<(u16, Vec<(usize, usize)>)> {
             }
         }
         if pixels.len() >= LEAST_PIXELS {
-            found.push((0, pixels));
+            regions.push((0, pixels));
         }
     }
-    found
+    regions
 }

@@ -57,14 +57,16 @@ pub(super) fn rows(set: &str, report: &ImageReport, angles: &[Option<f64>]) -> V
         let lpips: Vec<f64> = chosen
             .filter_map(|(_, f)| f.others.get("lpips_alex").copied())
             .collect();
-        let seen: Option<Vec<f64>> = (0..angles.len())
+        let set_angles: Option<Vec<f64>> = (0..angles.len())
             .filter(|&i| counts(i))
             .map(|i| angles[i])
             .collect();
-        let degrees = seen.filter(|seen| !seen.is_empty()).map(|seen| {
-            let least = seen.iter().copied().fold(f64::INFINITY, f64::min);
-            [least, seen.iter().copied().fold(0.0, f64::max)]
-        });
+        let degrees = set_angles
+            .filter(|values| !values.is_empty())
+            .map(|values| {
+                let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+                [least, values.iter().copied().fold(0.0, f64::max)]
+            });
         let lpips_alex =
             (!lpips.is_empty()).then(|| lpips.iter().sum::<f64>() / lpips.len() as f64);
         Some(SetScore {
@@ -132,10 +134,10 @@ pub(super) fn angles(train: &Capture, views: &Capture) -> Vec<Option<f64>> {
     let angle = |view: &CaptureFrame| {
         let at = share(view.t, views);
         let distance = |f: &CaptureFrame| (share(f.t, train) - at).abs();
-        let known = centres
+        let points = centres
             .iter()
             .filter_map(|(frame, centre)| Some((*frame, (*centre)?)));
-        let (frame, centre) = known.min_by(|a, b| distance(a.0).total_cmp(&distance(b.0)))?;
+        let (frame, centre) = points.min_by(|a, b| distance(a.0).total_cmp(&distance(b.0)))?;
         let ray = |camera: &Camera| camera.centre() - centre;
         Some(ray(&frame.camera).angle(&ray(&view.camera)).to_degrees())
     };
@@ -209,10 +211,10 @@ mod tests {
     fn angles_are_those_at_the_dynamic_content_of_the_moment() {
         let train = capture((0..3).map(|i| view(0.0, f64::from(i))).collect());
         // tan 45 degrees = 2 / 2
-        let found = angles(&train, &capture(vec![view(2.0, 1.0), view(0.0, 2.0)]));
+        let actual = angles(&train, &capture(vec![view(2.0, 1.0), view(0.0, 2.0)]));
         assert!(
-            (found[0].unwrap() - 45.0).abs() < 1.5 && found[1].unwrap() < 1e-4,
-            "{found:?}"
+            (actual[0].unwrap() - 45.0).abs() < 1.5 && actual[1].unwrap() < 1e-4,
+            "{actual:?}"
         );
         let blind = capture(vec![CaptureFrame {
             mask: None,
@@ -239,17 +241,17 @@ mod tests {
                 .map(|r| (r.set, r.mean.psnr_db.round(), r.degrees))
                 .collect::<Vec<_>>()
         };
-        let known = [Some(3.0), Some(8.5), Some(20.0)];
+        let view_angles = [Some(3.0), Some(8.5), Some(20.0)];
         let expected = [
             ("far", 40.0, 3.0, 20.0),
             ("far to 8 degrees", 20.0, 3.0, 3.0),
             ("far to 20 degrees", 50.0, 8.5, 20.0),
         ];
         assert_eq!(
-            of("far", &known),
+            of("far", &view_angles),
             expected.map(|(set, psnr, a, b)| (set.to_owned(), psnr, Some([a, b])))
         );
-        assert_eq!(of("near", &known).len(), 1);
+        assert_eq!(of("near", &view_angles).len(), 1);
         assert_eq!(
             of("far", &[Some(3.0), None, None]),
             [("far".to_owned(), 40.0, None)]

@@ -46,7 +46,7 @@ pub fn explain(
     observer: &dyn Observer,
 ) -> Result<Vec<ExplainRow>, Error> {
     let estimate = capture::read(capture, Split::Train, options, observer)?;
-    let known = read_truth(truth, options, observer)?;
+    let ground_truth = read_truth(truth, options, observer)?;
     let mut lists = Vec::new();
     for (set, split) in [("far", Split::Test), ("near", Split::Near)] {
         lists.extend(read_views(truth, split, options, observer)?.map(|views| (set, views)));
@@ -54,7 +54,7 @@ pub fn explain(
     if lists.is_empty() {
         return Err(no_test_list(truth).into());
     }
-    let substitutes = Substitutes::new(&estimate, &known)?;
+    let substitutes = Substitutes::new(&estimate, &ground_truth)?;
     let mut rows = Vec::new();
     for (i, (what, name)) in Substitution::ALL.into_iter().enumerate() {
         observer.update("explain", i, Substitution::ALL.len(), name);

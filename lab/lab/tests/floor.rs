@@ -49,9 +49,9 @@ fn scene_stays_above_the_floor() {
         ("distance of the robot", "/objects/0/distance", 0.075),
         ("pixels that the masks miss", "/objects/0/missed", 0.108),
     ] {
-        let found = number(&geometry, path);
-        if found > most {
-            below.push(format!("{what}: {found} above {most}"));
+        let value = number(&geometry, path);
+        if value > most {
+            below.push(format!("{what}: {value} above {most}"));
         }
     }
     dir.succeed(&format!(
@@ -80,9 +80,9 @@ fn scene_stays_above_the_floor() {
             .result();
         for (name, whole, dynamic) in bounds {
             for (key, least) in [("/psnr_db", whole), ("/masked_psnr_db", dynamic)] {
-                let found = number(set(&report, name), key);
-                if found < least {
-                    below.push(format!("{run}, {name}{key}: {found:.2} below {least}"));
+                let value = number(set(&report, name), key);
+                if value < least {
+                    below.push(format!("{run}, {name}{key}: {value:.2} below {least}"));
                 }
             }
         }

@@ -71,11 +71,11 @@ fn files_that_cannot_be_read_are_refused() {
 fn a_pipe_as_truth_is_not_read() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
-    let made = std::process::Command::new("mkfifo")
+    let status = std::process::Command::new("mkfifo")
         .arg(dir.path("pipe.json"))
         .status()
         .unwrap();
-    assert!(made.success());
+    assert!(status.success());
     dir.refused(
         "eval-geometry capture --truth pipe.json",
         65,

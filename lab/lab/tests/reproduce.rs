@@ -90,13 +90,13 @@ fn dycheck_layout_is_reproduced() {
     let number = |v: &Value| v.as_f64().unwrap();
     let (frames, views) = (capture(14, false).frames, capture(14, true).frames);
     // held out are frames 4, 8 and 12
-    let (left_out, kept): (Vec<_>, Vec<_>) = frames
+    let (left_out, training): (Vec<_>, Vec<_>) = frames
         .iter()
         .enumerate()
         .partition(|(i, _)| i % 4 == 0 && *i > 0);
     let left_out = left_out.into_iter().map(|(_, frame)| frame.rgb.clone());
     let trivial = mean_image_psnr_db(
-        kept.into_iter().map(|(_, frame)| frame),
+        training.into_iter().map(|(_, frame)| frame),
         left_out,
         usize::MAX,
     );
@@ -153,21 +153,21 @@ fn dycheck_layout_is_reproduced() {
     }
 
     // nothing is made again
-    let made = |scene: &str| {
+    let eval_time = |scene: &str| {
         fs::metadata(dir.path(&format!("out/instant4d/{scene}/run/eval.json")))
             .unwrap()
             .modified()
             .unwrap()
     };
-    let (apple, teddy) = (made("apple"), made("teddy"));
+    let (apple, teddy) = (eval_time("apple"), eval_time("teddy"));
     let again = dir.succeed(line);
     assert_eq!(again.result()["tables"], report["tables"]);
-    assert_eq!((made("apple"), made("teddy")), (apple, teddy));
+    assert_eq!((eval_time("apple"), eval_time("teddy")), (apple, teddy));
     assert!(!again.stdout.contains("\"train\""), "{}", again.stdout);
     // but what has lost its scores is
     fs::remove_file(dir.path("out/instant4d/teddy/run/eval.json")).unwrap();
     assert_eq!(dir.succeed(line).result()["tables"][1], report["tables"][1]);
-    assert!(made("apple") == apple && made("teddy") > teddy);
+    assert!(eval_time("apple") == apple && eval_time("teddy") > teddy);
 }
 
 #[test]

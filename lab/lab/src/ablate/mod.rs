@@ -105,8 +105,11 @@ impl AblationReport {
             |row: &RowReport, of: &dyn Fn(&RowReport) -> Option<f64>, digits: usize| {
                 let value = of(row);
                 match (value, full.and_then(of)) {
-                    (Some(here), Some(there)) if row.row != Row::Full => {
-                        format!("{here:.digits$} ({:+.digits$})", here - there)
+                    (Some(own_value), Some(full_value)) if row.row != Row::Full => {
+                        format!(
+                            "{own_value:.digits$} ({:+.digits$})",
+                            own_value - full_value
+                        )
                     }
                     _ => number(row, value, digits),
                 }
@@ -188,7 +191,7 @@ pub fn ablate(
         .into_iter()
         .chain(configs.iter().map(String::as_str));
     minute4d::layout::claim(out, Kind::Report, &files.collect::<Vec<_>>())?;
-    let mut made = Vec::new();
+    let mut reports = Vec::new();
     let mut settings = job.settings.clone();
     for (i, &row) in rows.iter().enumerate() {
         job.observer.update("rows", i, rows.len(), row.title());
@@ -204,14 +207,15 @@ pub fn ablate(
             // the others take as many steps, however fast they are
             (settings.train.iterations, settings.train.budget_s) = (iterations, 0.0);
         }
-        made.push(report);
+        reports.push(report);
         job.observer.update("rows", i + 1, rows.len(), row.title());
     }
-    let there = |row| {
-        made.iter()
+    let has_row = |row| {
+        reports
+            .iter()
             .any(|r: &RowReport| r.row == row && r.skipped.is_none())
     };
-    let image = if there(Row::NoTrack) {
+    let image = if has_row(Row::NoTrack) {
         let folders = [Row::NoTrack, Row::Full].map(|row| out.join(row.name()));
         tracking_effect::write(&folders, &data, &out.join(TRACKING_FILE), job)?
     } else {
@@ -225,7 +229,7 @@ pub fn ablate(
         input: input.to_path_buf(),
         data,
         threads: minute4d_cli::run::threads(),
-        rows: made,
+        rows: reports,
         image,
     };
     write_json(&out.join(ABLATION_FILE), &report)?;

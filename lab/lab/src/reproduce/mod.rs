@@ -94,8 +94,8 @@ pub fn reproduce(
     }
     job.check()?;
     let protocols = suite.protocols_of(&options.protocols)?;
-    let (found, missing) = suite.find(data, &options.scenes);
-    if found.is_empty() {
+    let (scenes, missing) = suite.find(data, &options.scenes);
+    if scenes.is_empty() {
         let missing: Vec<String> = missing
             .iter()
             .map(|m| format!("{} ({})", m.scene, m.why))
@@ -116,30 +116,34 @@ pub fn reproduce(
             suite.facts().source
         ));
     }
-    let total = found.len() * protocols.len();
+    let total = scenes.len() * protocols.len();
     let mut done = 0;
     let mut tables: Vec<TableReport> = Vec::new();
     for &protocol in &protocols {
         let (mut rows, mut ablations) = (Vec::new(), Vec::new());
-        for found in &found {
+        for scene in &scenes {
             job.observer
-                .update("scenes", done, total, &format!("{protocol} {}", found.name));
-            let made = scene::make(suite, found, protocol, out, options, job)?;
+                .update("scenes", done, total, &format!("{protocol} {}", scene.name));
+            let result = scene::make(suite, scene, protocol, out, options, job)?;
             if let Some(program) = &options.ablations {
                 let options = AblateOptions {
                     program: program.clone(),
                     rows: Row::ALL.to_vec(),
-                    data: Some(made.views),
+                    data: Some(result.views),
                     grow_mask: GROW_MASK,
                 };
-                let report =
-                    ablate::ablate(&made.capture, &made.folder.join("ablation"), &options, job)?;
+                let report = ablate::ablate(
+                    &result.capture,
+                    &result.folder.join("ablation"),
+                    &options,
+                    job,
+                )?;
                 ablations.push(SceneAblation {
-                    scene: made.row.scene.clone(),
+                    scene: result.row.scene.clone(),
                     report,
                 });
             }
-            rows.push(made.row);
+            rows.push(result.row);
             done += 1;
             job.observer.update("scenes", done, total, "");
         }

@@ -112,17 +112,17 @@ pub(super) fn make(
     } else {
         (trained.clone(), whole.clone())
     };
-    let made = |row| SceneResult {
+    let result_of = |row| SceneResult {
         row,
         folder: folder.clone(),
         capture: data.clone(),
         views: views.clone(),
     };
-    if let Some(kept) = read::<CachedRow>(&file)
-        && kept.key == key
+    if let Some(cache) = read::<CachedRow>(&file)
+        && cache.key == key
         && run.join(EVAL_FILE).is_file()
     {
-        return Ok(made(kept.row));
+        return Ok(result_of(cache.row));
     }
     layout::claim(&folder, Kind::Report, &[ROW_FILE])?;
     layout::remove_file(&file)?;
@@ -173,7 +173,7 @@ pub(super) fn make(
             row: row.clone(),
         },
     )?;
-    Ok(made(row))
+    Ok(result_of(row))
 }
 
 /// Geometry from the training images alone, as they lie in the capture that was imported; its
@@ -225,7 +225,7 @@ fn whole_capture(
         &format!("{:?}", options.factor),
     ]);
     let file = whole.join(KEY_FILE);
-    if read::<Imported>(&file).is_some_and(|kept| kept.key == key) {
+    if read::<Imported>(&file).is_some_and(|cache| cache.key == key) {
         return Ok(None);
     }
     let mut results = ResultFolder::open(whole, Kind::Capture)?;

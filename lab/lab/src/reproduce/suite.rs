@@ -180,15 +180,15 @@ impl Suite {
         if asked.is_empty() {
             return Ok(facts.protocols.to_vec());
         }
-        let known = [facts.protocols, facts.more_protocols].concat();
-        if let Some(&protocol) = asked.iter().find(|p| !known.contains(p)) {
-            let known = known
+        let protocols = [facts.protocols, facts.more_protocols].concat();
+        if let Some(&protocol) = asked.iter().find(|p| !protocols.contains(p)) {
+            let names = protocols
                 .iter()
                 .map(|p| p.name())
                 .collect::<Vec<_>>()
                 .join(", ");
             return Err(Refusal::usage(format!(
-                "{self} is not scored by the protocol {protocol}; its protocols are {known}"
+                "{self} is not scored by the protocol {protocol}; its protocols are {names}"
             )));
         }
         Ok(asked.to_vec())
@@ -207,10 +207,10 @@ impl Suite {
             .map(|s| (*s).to_owned())
             .collect();
         let wanted = if asked.is_empty() { &all } else { asked };
-        let (mut found, mut missing) = (Vec::new(), Vec::new());
+        let (mut scenes, mut missing) = (Vec::new(), Vec::new());
         for name in wanted {
             match self.locate(data, name) {
-                Ok(path) => found.push(FoundScene {
+                Ok(path) => scenes.push(FoundScene {
                     name: name.clone(),
                     path,
                 }),
@@ -220,7 +220,7 @@ impl Suite {
                 }),
             }
         }
-        (found, missing)
+        (scenes, missing)
     }
 
     fn locate(self, data: &Path, name: &str) -> Result<PathBuf, String> {
@@ -233,17 +233,17 @@ impl Suite {
             Self::Nvidia => detect(path) == Some(SourceFormat::Nvidia),
             Self::Davis => davis::detect(path),
         };
-        let mut there = None;
+        let mut candidate = None;
         for below in self.facts().below {
             let path = data.join(below).join(name);
             if path.is_dir() {
                 if is_scene(&path) {
                     return Ok(path);
                 }
-                there.get_or_insert(path);
+                candidate.get_or_insert(path);
             }
         }
-        Err(match there {
+        Err(match candidate {
             Some(path) => format!("{} is not in the layout of the data set", path.display()),
             None => "is not there".to_owned(),
         })
@@ -318,8 +318,8 @@ mod tests {
     fn missing_scenes_are_listed_with_the_reason() {
         let dir = tempfile::tempdir().unwrap();
         std::fs::create_dir_all(dir.path().join("iphone/apple")).unwrap();
-        let (found, missing) = Suite::Dycheck.find(dir.path(), &[]);
-        assert!(found.is_empty() && missing.len() == 7);
+        let (scenes, missing) = Suite::Dycheck.find(dir.path(), &[]);
+        assert!(scenes.is_empty() && missing.len() == 7);
         assert!(missing[0].why.contains("not in the layout") && missing[1].why == "is not there");
         let (_, missing) = Suite::Dycheck.find(dir.path(), &["../x".to_owned()]);
         assert_eq!(missing[0].why, "is not the name of a scene");

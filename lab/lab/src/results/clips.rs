@@ -22,15 +22,15 @@ pub(super) fn files(root: &Path, folder: Option<&Path>) -> Result<Vec<PathBuf>> 
             std::fs::read_dir(dir).and_then(|entries| entries.map(|e| Ok(e?.path())).collect());
         entries.with_context(|| format!("cannot list {}", dir.display()))
     };
-    let mut found = folder.map_or(Ok(Vec::new()), entries)?;
-    found.retain(|path| match path.is_dir() {
+    let mut paths = folder.map_or(Ok(Vec::new()), entries)?;
+    paths.retain(|path| match path.is_dir() {
         true => entries(path)
             .is_ok_and(|files| files.iter().any(|file| is(file, &["png", "jpg", "jpeg"]))),
         false => is(path, &["mp4", "mov", "m4v", "mkv", "webm", "avi"]),
     });
-    found.sort();
-    found.insert(0, root.join("examples/pinwheel.mp4"));
-    Ok(found)
+    paths.sort();
+    paths.insert(0, root.join("examples/pinwheel.mp4"));
+    Ok(paths)
 }
 
 /// A row per clip.

@@ -87,11 +87,11 @@ pub(super) fn list(value: &Value) -> impl Iterator<Item = &Value> {
 
 /// Mean of a figure over the objects that have it.
 pub(super) fn mean<'a>(objects: impl Iterator<Item = &'a Value>, key: &str) -> Value {
-    let found: Vec<f64> = objects.filter_map(|object| object[key].as_f64()).collect();
-    if found.is_empty() {
+    let values: Vec<f64> = objects.filter_map(|object| object[key].as_f64()).collect();
+    if values.is_empty() {
         Value::Null
     } else {
-        (found.iter().sum::<f64>() / found.len() as f64).into()
+        (values.iter().sum::<f64>() / values.len() as f64).into()
     }
 }
 

@@ -48,7 +48,7 @@ pub(super) struct Runs {
     origin: String,
     program: Option<Program>,
     counted: BTreeSet<PathBuf>,
-    seen: BTreeSet<PathBuf>,
+    paths: BTreeSet<PathBuf>,
     /// The last day on which a value was measured (UTC).
     pub date: String,
 }
@@ -115,17 +115,17 @@ impl Runs {
             record = json!({"key": key});
             page::write(&path, &record.to_string())?;
         }
-        let kept = !record["value"].is_null();
-        if self.seen.insert(path.clone()) {
-            let note = if kept { " (kept)" } else { "" };
+        let is_kept = !record["value"].is_null();
+        if self.paths.insert(path.clone()) {
+            let note = if is_kept { " (kept)" } else { "" };
             eprintln!(
                 "[{}/{}] {}: {what}{note}",
-                self.seen.len(),
+                self.paths.len(),
                 self.counted.len(),
                 input.name
             );
         }
-        if !kept {
+        if !is_kept {
             record["value"] = measure(program)?;
             record["date"] = json!(output(&self.root, "date", &["-u", "+%F"])?.trim());
             page::write(&path, &record.to_string())?;

@@ -103,9 +103,9 @@ fn row(scene: &str, what: &str, run: &Value, eval: &Value) -> Value {
         let set = score["set"].as_str().unwrap_or_default();
         match baselines
             .iter_mut()
-            .find(|known| known["what"] == score["name"])
+            .find(|entry| entry["what"] == score["name"])
         {
-            Some(known) => known[set] = score["mean"].clone(),
+            Some(entry) => entry[set] = score["mean"].clone(),
             None => {
                 baselines.push(json!({"scene": scene, "what": score["name"], set: score["mean"]}))
             }
@@ -130,10 +130,10 @@ fn against(trained: &Value, baselines: &[Value]) -> Value {
                     .as_f64()
                     .map(|db| (100.0 * db).round() / 100.0)
             };
-            let known = baselines
+            let candidates = baselines
                 .iter()
                 .filter_map(|baseline| Some((rounded(baseline)?, &baseline["what"])));
-            let best = known.max_by(|a, b| a.0.total_cmp(&b.0));
+            let best = candidates.max_by(|a, b| a.0.total_cmp(&b.0));
             if let (Some(ours), Some((db, name))) = (rounded(trained), best) {
                 let name = name
                     .as_str()
