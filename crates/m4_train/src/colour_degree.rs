@@ -159,12 +159,12 @@ mod tests {
                 .map(|n| splats.column(Column::Colour, 3 * (4 * n + 3) + 2)[row])
                 .sum()
         };
-        let there: f32 = coefficients
+        let colour: f32 = coefficients
             .iter()
             .enumerate()
             .map(|(n, k)| k * waves(n, 3.0))
             .sum();
-        assert!((sum(2) - there).abs() < 1e-6, "{} for {there}", sum(2));
+        assert!((sum(2) - colour).abs() < 1e-6, "{} for {colour}", sum(2));
         assert_eq!(
             [sum(0), sum(1)],
             [coefficients.iter().sum::<f32>(); 2],

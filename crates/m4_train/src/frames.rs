@@ -39,7 +39,7 @@ impl<'a> FrameStore<'a> {
     }
 
     /// Of images that are prepared.
-    pub fn given(targets: Vec<Target>) -> Self {
+    pub fn of_targets(targets: Vec<Target>) -> Self {
         let frames = targets.into_iter().map(|target| Stored {
             frame: None,
             cached: Some(target),

@@ -148,9 +148,9 @@ mod tests {
     fn an_epoch_sees_every_frame_once() {
         let mut picker = Picker::new(3, 7);
         for epoch in 0..4 {
-            let mut seen: Vec<usize> = (0..7).map(|i| picker.pick(7 * epoch + i)).collect();
-            seen.sort_unstable();
-            assert!(seen.iter().copied().eq(0..7));
+            let mut picks: Vec<usize> = (0..7).map(|i| picker.pick(7 * epoch + i)).collect();
+            picks.sort_unstable();
+            assert!(picks.iter().copied().eq(0..7));
         }
         // the order is that of the iteration, not of the calls
         let mut fresh = Picker::new(3, 7);

@@ -51,8 +51,8 @@ impl Reader<'_> {
     }
 }
 
-fn wrong(name: &str, expected: usize, found: Option<&StateTensor<'_>>) -> TrainError {
-    match found {
+fn wrong(name: &str, expected: usize, actual: Option<&StateTensor<'_>>) -> TrainError {
+    match actual {
         Some(tensor) if tensor.len() != expected => TrainError::Shape(ShapeError {
             what: "tensor of the training state",
             expected,
@@ -66,12 +66,12 @@ fn wrong(name: &str, expected: usize, found: Option<&StateTensor<'_>>) -> TrainE
 
 pub(crate) fn write_adam<'a>(state: &mut TrainState<'a>, adam: &'a AdamState) {
     for (kind, columns) in [("m", adam.m.columns()), ("v", adam.v.columns())] {
-        let kept = if adam.nodes.is_empty() {
+        let n_columns = if adam.nodes.is_empty() {
             columns.len() - TRENDS
         } else {
             columns.len()
         };
-        for (c, column) in columns.iter().enumerate().take(kept) {
+        for (c, column) in columns.iter().enumerate().take(n_columns) {
             state.insert(format!("adam/{kind}/{c:02}"), StateTensor::f32(column));
         }
     }

@@ -120,12 +120,12 @@ fn asynchronous_steps_give_the_same_bits() {
             (middle, trainer.scene(), state, counts, losses)
         };
         let calls = Arc::default();
-        let (here, there) = (run(None), run(Some(&calls)));
-        assert!(here.0 == there.0, "after 37 steps");
-        assert!(here.1 == there.1, "at the end");
-        assert!(here.2 == there.2, "the optimiser's state");
-        assert_eq!(here.3, there.3, "splats");
-        for (i, (a, b)) in here.4.iter().zip(&there.4).enumerate() {
+        let (plain, watched) = (run(None), run(Some(&calls)));
+        assert!(plain.0 == watched.0, "after 37 steps");
+        assert!(plain.1 == watched.1, "at the end");
+        assert!(plain.2 == watched.2, "the optimiser's state");
+        assert_eq!(plain.3, watched.3, "splats");
+        for (i, (a, b)) in plain.4.iter().zip(&watched.4).enumerate() {
             assert!((a - b).abs() < 1e-9, "loss of event {i}: {a} and {b}");
         }
         assert_eq!(
@@ -135,7 +135,7 @@ fn asynchronous_steps_give_the_same_bits() {
         );
         let waits = calls.waits.load(Ordering::Relaxed);
         assert!(waits <= most_waits, "{waits} waits");
-        let (first, last) = (disturbed(&scene, 2).n(), here.1.splats.n());
+        let (first, last) = (disturbed(&scene, 2).n(), plain.1.splats.n());
         assert_eq!(rounds > 0, first != last, "{first} splats became {last}");
     }
 }
@@ -210,7 +210,7 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
     };
     let run =
         |fails_at, iterations| run_with(failing(fails_at, &Arc::default()), config(), iterations);
-    let (end, kept, at) = run(31, 100);
+    let (end, splats, at) = run(31, 100);
     let Err(TrainError::Device {
         why,
         iteration,
@@ -223,9 +223,9 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
         (why.as_str(), iteration, good_iteration, at),
         ("the backend broke", 30, 25, 25)
     );
-    let (end, there, _) = run(0, 25);
+    let (end, expected, _) = run(0, 25);
     end.unwrap();
-    assert!(kept == there);
+    assert!(splats == expected);
 
     // the CPU goes on from there
     let mut trainer =
@@ -251,7 +251,7 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
         ..config()
     };
     let calls = Arc::default();
-    let (end, kept, at) = run_with(failing(71, &calls), rarely, 100);
+    let (end, splats, at) = run_with(failing(71, &calls), rarely, 100);
     assert!(
         matches!(
             end,
@@ -263,13 +263,13 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
         "{end:?}"
     );
     assert_eq!((at, calls.rounds.load(Ordering::Relaxed)), (0, 3));
-    let (_, there, _) = run(0, 0);
-    assert!(kept == there);
+    let (_, expected, _) = run(0, 0);
+    assert!(splats == expected);
 
     // the backend says at the next check that a number is not finite
     let mut broken = watched(&calls);
     broken.breaks_at = 41;
-    let (end, kept, at) = run_with(broken, config(), 100);
+    let (end, splats, at) = run_with(broken, config(), 100);
     // which the CPU does not find when it repeats the steps, so the machine is at fault
     let Err(TrainError::Device {
         why,
@@ -284,13 +284,13 @@ fn a_backend_that_fails_leaves_the_last_good_splats() {
         "{why}"
     );
     assert_eq!((iteration, good_iteration, at), (50, 50, 50));
-    assert!(kept.splats.is_finite());
+    assert!(splats.splats.is_finite());
     // nor is the machine charged with a run that diverges everywhere
     let mut hot = config();
     hot.lr.colour = 1e38;
-    let (end, kept, _) = run_with(watched(&Arc::default()), hot, 100);
+    let (end, splats, _) = run_with(watched(&Arc::default()), hot, 100);
     assert!(matches!(end, Err(TrainError::Diverged { .. })), "{end:?}");
-    assert!(kept.splats.is_finite());
+    assert!(splats.splats.is_finite());
 }
 
 /// The bits of static splats, in no order.
@@ -316,7 +316,7 @@ fn fixed_splats_are_drawn_but_never_trained_cloned_or_pruned() {
         };
         Trainer::new(&capture, first, config(), level).unwrap()
     };
-    let kept = |trainer: &Trainer<'_>| {
+    let unchanged_count = |trainer: &Trainer<'_>| {
         let now = static_bits(trainer.splats(), 0..trainer.splats().n_static());
         bits.intersection(&now).count()
     };
@@ -325,13 +325,13 @@ fn fixed_splats_are_drawn_but_never_trained_cloned_or_pruned() {
     let mut free = start(0..0);
     finish(&mut free).unwrap();
     assert!(
-        2 * kept(&free) < bits.len(),
+        2 * unchanged_count(&free) < bits.len(),
         "those in view are trained otherwise"
     );
 
     let mut whole = start(fixed.clone());
     finish(&mut whole).unwrap();
-    assert_eq!(kept(&whole), bits.len());
+    assert_eq!(unchanged_count(&whole), bits.len());
     assert!(
         whole.splats().n() > splats.n(),
         "density control adds others"
@@ -361,5 +361,5 @@ fn fixed_splats_are_drawn_but_never_trained_cloned_or_pruned() {
     assert!(finish(&mut moved).is_err());
     moved.use_cpu(level).unwrap();
     finish(&mut moved).unwrap();
-    assert_eq!(kept(&moved), bits.len(), "after a device failed");
+    assert_eq!(unchanged_count(&moved), bits.len(), "after a device failed");
 }

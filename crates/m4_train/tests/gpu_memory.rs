@@ -84,13 +84,16 @@ fn a_trainer_takes_what_was_planned_and_a_warm_up_gives_all_back() {
     )
     .unwrap();
     trainer.collect_image_gradients();
-    let taken = gpu.memory().in_use - before;
+    let memory_bytes = gpu.memory().in_use - before;
     let want = plan.total() - passing;
-    let off = (taken as f64 / want as f64 - 1.0).abs();
-    assert!(off < 0.03, "{taken} bytes for {want} planned: {plan}");
+    let off = (memory_bytes as f64 / want as f64 - 1.0).abs();
+    assert!(
+        off < 0.03,
+        "{memory_bytes} bytes for {want} planned: {plan}"
+    );
     assert!(plan.check_buffers(&gpu).is_ok());
     drop(trainer);
-    assert!(gpu.memory().in_use < before + taken / 10, "dropped");
+    assert!(gpu.memory().in_use < before + memory_bytes / 10, "dropped");
 
     let refine = RefineConfig {
         poses: true,

@@ -132,8 +132,8 @@ fn psnr(splats: &Splats, capture: &Capture, frames: &[usize]) -> f64 {
 #[test]
 fn density_control_improves_frames_that_were_not_trained_on() {
     let (scene, capture) = video();
-    let kept = (0..scene.splats.n()).filter(|i| *i >= scene.splats.n_static() || i % 4 == 0);
-    let rows: Vec<u32> = kept.map(|i| i as u32).collect();
+    let indices = (0..scene.splats.n()).filter(|i| *i >= scene.splats.n_static() || i % 4 == 0);
+    let rows: Vec<u32> = indices.map(|i| i as u32).collect();
     let start = disturbed(&scene, 3).gather(&rows).unwrap();
     let held_out = [1, 3, 5];
     let mut train = capture.clone();

@@ -210,7 +210,7 @@ impl Backend for CpuBackend<'_> {
     }
 
     fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), BackendError> {
-        self.frames = FrameStore::given(frames);
+        self.frames = FrameStore::of_targets(frames);
         Ok(())
     }
 

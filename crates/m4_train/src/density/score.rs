@@ -122,13 +122,13 @@ mod tests {
         let base: Vec<f32> = (0..1000)
             .map(|i| if i == 7 { 50.0 } else { (i % 10) as f32 * 0.01 })
             .collect();
-        let kept = |range| {
+        let nonzero_count = |range| {
             let mut e = base.clone();
             masked_error(&mut e, 0.1, range);
             e.iter().filter(|e| **e > 0.0).count()
         };
-        assert_eq!(kept(ErrorRange::MinMax), 1);
-        assert!(kept(ErrorRange::Quantile { high: 0.995 }) > 700);
+        assert_eq!(nonzero_count(ErrorRange::MinMax), 1);
+        assert!(nonzero_count(ErrorRange::Quantile { high: 0.995 }) > 700);
         assert_eq!(quantile(&[3.0, 1.0, 2.0], 0.5), 2.0);
         assert_eq!(quantile(&[], 0.5), 0.0);
     }

@@ -10,7 +10,7 @@ use crate::init::{
     rows::{Parts, Tints, rows},
     shell::shell,
     surface::{Surface, surface},
-    tracked::{self, Known},
+    tracked::{self, TrackContext},
     visible::is_visible,
     voxel::{Centroids, Grid, pixels_for},
 };
@@ -120,7 +120,7 @@ pub fn initialise(
         VelocityInit::Zero => Lives::free(&dynamic),
         VelocityInit::Register { .. } => lives(clip, progress)?,
     };
-    let known = Known {
+    let context = TrackContext {
         capture,
         frames: &frames,
         dynamic: &dynamic,
@@ -129,7 +129,7 @@ pub fn initialise(
         median_depth,
     };
     stopped(progress)?;
-    let tracked = tracked::tracked(&known, config);
+    let tracked = tracked::tracked(&context, config);
     stopped(progress)?;
     let tint_grid = grid(TINT_PIXELS);
     let tints: Vec<Tints> = frames
@@ -138,10 +138,10 @@ pub fn initialise(
             if config.change_threshold <= 0.0 {
                 return Tints::default();
             }
-            let found = changes(&capture.frames[frame], config, &static_grid, &static_points);
+            let change = changes(&capture.frames[frame], config, &static_grid, &static_points);
             Tints {
-                darker: tint_grid.merge(&found.darker),
-                brighter: tint_grid.merge(&found.brighter),
+                darker: tint_grid.merge(&change.darker),
+                brighter: tint_grid.merge(&change.brighter),
             }
         })
         .collect();

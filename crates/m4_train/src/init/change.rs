@@ -60,12 +60,12 @@ pub(crate) fn changes(
         }
     });
     // What the whole frame has in common is its exposure.
-    let mut known: Vec<f32> = difference
+    let mut differences: Vec<f32> = difference
         .iter()
         .copied()
         .filter(|d| d.is_finite())
         .collect();
-    let Some(common) = m4_core::median(&mut known) else {
+    let Some(common) = m4_core::median(&mut differences) else {
         return out;
     };
 

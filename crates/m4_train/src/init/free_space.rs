@@ -51,9 +51,9 @@ pub(crate) fn clear(
             );
             let mut votes = votes.into_iter();
             let (w, h) = pixels.mask.size();
-            let kept = &pixels.mask;
+            let mask = &pixels.mask;
             pixels.mask = CompactMask::from_fn(w, h, |x, y| {
-                kept.at(x, y)
+                mask.at(x, y)
                     && votes
                         .next()
                         .is_none_or(|v| v.through < LEAST || v.through <= v.agree)
@@ -129,11 +129,11 @@ impl Witness {
         let (width, height) = depth.size();
         let moves = moving_pixels(frame, width, height);
         let moves = m4_core::dilated(&moves, width, height, config.mask_margin_px);
-        let known = |i: usize| {
+        let static_depth = |i: usize| {
             let z = depth.data()[i];
             if is_depth(z) && !moves[i] { z } else { 0.0 }
         };
-        let depth: Vec<f32> = (0..width * height).map(known).collect();
+        let depth: Vec<f32> = (0..width * height).map(static_depth).collect();
         let mut least = depth.clone();
         for y in 0..height {
             for x in 0..width {

@@ -75,7 +75,7 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
         }
     }
     let mean = |s: &[f64; 4]| (s[3] > 0.0).then(|| [0, 1, 2].map(|k| (s[k] / s[3]) as f32));
-    let seen: Vec<Option<[f32; 3]>> = empty
+    let colours: Vec<Option<[f32; 3]>> = empty
         .iter()
         .zip(&any)
         .map(|(e, a)| mean(e).or(mean(a)))
@@ -86,7 +86,7 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
         .map(|f| f.camera.centre())
         .sum::<Vector3<f64>>()
         / capture.frames.len() as f64;
-    let rgb = spread(&directions, &seen);
+    let rgb = spread(&directions, &colours);
     let (sky, filling): (Vec<usize>, Vec<usize>) =
         (0..count).partition(|&cell| empty[cell][3] > 0.0);
     let cells = || sky.iter().chain(&filling);
@@ -101,9 +101,11 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
 }
 
 /// Colours for the cells that have none.
-fn spread(directions: &[[f32; 3]], seen: &[Option<[f32; 3]>]) -> Vec<[f32; 3]> {
-    let known: Vec<usize> = (0..seen.len()).filter(|&i| seen[i].is_some()).collect();
-    let at: Vec<[f32; 3]> = known.iter().map(|&i| directions[i]).collect();
+fn spread(directions: &[[f32; 3]], colours: &[Option<[f32; 3]>]) -> Vec<[f32; 3]> {
+    let indices: Vec<usize> = (0..colours.len())
+        .filter(|&i| colours[i].is_some())
+        .collect();
+    let at: Vec<[f32; 3]> = indices.iter().map(|&i| directions[i]).collect();
     let tree = match ImmutableKdTree::<f32, 3>::new_from_slice(&at) {
         Ok(tree) if !at.is_empty() => tree,
         _ => return vec![[0.5; 3]; directions.len()],
@@ -116,7 +118,7 @@ fn spread(directions: &[[f32; 3]], seen: &[Option<[f32; 3]>]) -> Vec<[f32; 3]> {
             .execute()
         {
             let weight = 1.0 / n.distance.max(1e-6);
-            let rgb = seen[known[n.item as usize]].unwrap_or_default();
+            let rgb = colours[indices[n.item as usize]].unwrap_or_default();
             (0..3).for_each(|k| sum[k] += weight * rgb[k]);
             total += weight;
         }
@@ -124,8 +126,8 @@ fn spread(directions: &[[f32; 3]], seen: &[Option<[f32; 3]>]) -> Vec<[f32; 3]> {
     };
     directions
         .iter()
-        .zip(seen)
-        .map(|(d, seen)| seen.unwrap_or_else(|| fill(d)))
+        .zip(colours)
+        .map(|(d, colour)| colour.unwrap_or_else(|| fill(d)))
         .collect()
 }
 

@@ -72,20 +72,20 @@ fn outwards(n: usize) -> impl Iterator<Item = usize> {
 }
 
 fn add(view: &View, cloud: &Cloud, pixels: &Pixels, sums: &mut Vec<Sum>) {
-    let seen = view.seen(sums);
+    let index = view.index(sums);
     let at: Vec<(usize, usize)> = pixels.mask.set_pixels().collect();
     let depth = |p: &[f32; 3]| view.camera.project(&Vector3::from(p.map(f64::from))).1 as f32;
-    let known: Vec<u32> = at
+    let neighbours: Vec<u32> = at
         .par_iter()
         .zip(&cloud.xyz)
-        .map(|(&at, p)| seen.near(at, depth(p)))
+        .map(|(&at, p)| index.near(at, depth(p)))
         .collect();
-    for ((known, p), rgb) in known.into_iter().zip(&cloud.xyz).zip(&cloud.rgb) {
+    for ((neighbour, p), rgb) in neighbours.into_iter().zip(&cloud.xyz).zip(&cloud.rgb) {
         let (xyz, rgb) = (
             Vector3::from(p.map(f64::from)),
             Vector3::from(rgb.map(f64::from)),
         );
-        match sums.get_mut(known as usize) {
+        match sums.get_mut(neighbour as usize) {
             None => sums.push(Sum { xyz, rgb, n: 1.0 }),
             Some(sum) => {
                 sum.xyz += xyz;
@@ -119,7 +119,7 @@ impl View {
     }
 
     /// The points inside the image, by pixel; those that others hide, too.
-    fn seen(&self, sums: &[Sum]) -> Seen {
+    fn index(&self, sums: &[Sum]) -> PixelIndex {
         let at: Vec<Option<(usize, f32)>> =
             sums.par_iter().map(|sum| self.pixel(&sum.mean())).collect();
         let mut start = vec![0u32; self.size.0 * self.size.1 + 1];
@@ -133,7 +133,7 @@ impl View {
             points[next[pixel] as usize] = (k, z);
             next[pixel] += 1;
         }
-        Seen {
+        PixelIndex {
             size: self.size,
             start,
             points,
@@ -142,7 +142,7 @@ impl View {
 }
 
 /// The points of each pixel.
-struct Seen {
+struct PixelIndex {
     size: (usize, usize),
     /// Where the points of a pixel start, row by row.
     start: Vec<u32>,
@@ -150,7 +150,7 @@ struct Seen {
     points: Vec<(u32, f32)>,
 }
 
-impl Seen {
+impl PixelIndex {
     /// The point in a pixel or beside it whose depth is nearest to `z`, if it is of the same
     /// surface.
     fn near(&self, (x, y): (usize, usize), z: f32) -> u32 {
@@ -220,17 +220,17 @@ mod tests {
 
     #[test]
     fn frames_that_differ_a_little_make_one_surface_in_the_middle_of_theirs() {
-        let found = points(|i, _| [0.99, 1.01, 0.995, 1.0, 1.005, 0.99, 1.01][i]);
+        let surface = points(|i, _| [0.99, 1.01, 0.995, 1.0, 1.005, 0.99, 1.01][i]);
         let one_frame = SIZE.0 * SIZE.1;
         assert!(
-            (one_frame * 9 / 10..one_frame * 5 / 4).contains(&found.cloud.xyz.len()),
+            (one_frame * 9 / 10..one_frame * 5 / 4).contains(&surface.cloud.xyz.len()),
             "{}",
-            found.cloud.xyz.len()
+            surface.cloud.xyz.len()
         );
-        let many = found
+        let many = surface
             .count
             .iter()
-            .zip(&found.cloud.xyz)
+            .zip(&surface.cloud.xyz)
             .filter(|(n, _)| **n >= 6.0);
         let errors: Vec<f32> = many.map(|(_, p)| (p[2] - WALL).abs() / WALL).collect();
         let mean = errors.iter().sum::<f32>() / errors.len() as f32;
@@ -241,16 +241,16 @@ mod tests {
             errors.len()
         );
         assert!(
-            found.cloud.rgb.iter().any(|c| c[0] == 130),
+            surface.cloud.rgb.iter().any(|c| c[0] == 130),
             "the mean colour of all frames"
         );
     }
 
     #[test]
     fn surfaces_apart_stay_apart() {
-        let found = points(|_, x| if (20..30).contains(&x) { 0.8 } else { 1.0 });
+        let surface = points(|_, x| if (20..30).contains(&x) { 0.8 } else { 1.0 });
         let at = |z: f32| {
-            found
+            surface
                 .cloud
                 .xyz
                 .iter()
@@ -259,6 +259,6 @@ mod tests {
         };
         let (near, far) = (at(0.8 * WALL), at(WALL));
         assert!(near >= 10 * SIZE.1 && far >= 50 * SIZE.1, "{near}, {far}");
-        assert_eq!(near + far, found.cloud.xyz.len());
+        assert_eq!(near + far, surface.cloud.xyz.len());
     }
 }

@@ -40,8 +40,8 @@ pub(crate) struct Tracked {
     pub velocity: Vec<[f32; 3]>,
 }
 
-/// What the cloud of a clip is made of, as far as tracks are concerned.
-pub(crate) struct Known<'a> {
+/// The parts of an initialisation that points of tracks are tested against.
+pub(crate) struct TrackContext<'a> {
     pub capture: &'a Capture,
     /// The frame of each keyframe.
     pub frames: &'a [usize],
@@ -62,9 +62,9 @@ struct Sample {
 }
 
 /// For every keyframe the points of tracks that it lacks.
-pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Tracked> {
-    let none = || vec![Tracked::default(); known.frames.len()];
-    let Some(tracks) = known
+pub(crate) fn tracked(context: &TrackContext<'_>, config: &InitConfig) -> Vec<Tracked> {
+    let none = || vec![Tracked::default(); context.frames.len()];
+    let Some(tracks) = context
         .capture
         .tracks
         .as_ref()
@@ -72,15 +72,15 @@ pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Tracked> {
     else {
         return none();
     };
-    let every = known.capture.frames.len().div_ceil(CAMERAS).max(1);
-    let cameras: Vec<&CaptureFrame> = known.capture.frames.iter().step_by(every).collect();
+    let every = context.capture.frames.len().div_ceil(CAMERAS).max(1);
+    let cameras: Vec<&CaptureFrame> = context.capture.frames.iter().step_by(every).collect();
     let summaries: Vec<TrackSummary> = (0..tracks.count())
         .into_par_iter()
-        .map(|k| TrackSummary::of(known.capture, tracks, k))
+        .map(|k| TrackSummary::of(context.capture, tracks, k))
         .collect();
-    let mut out: Vec<Vec<Sample>> = (0..known.frames.len())
+    let mut out: Vec<Vec<Sample>> = (0..context.frames.len())
         .into_par_iter()
-        .map(|i| samples(known, tracks, &summaries, &cameras, i, config))
+        .map(|i| samples(context, tracks, &summaries, &cameras, i, config))
         .collect();
     let total: usize = out.iter().map(Vec::len).sum();
     if total > config.tracked.most {
@@ -94,7 +94,7 @@ pub(crate) fn tracked(known: &Known<'_>, config: &InitConfig) -> Vec<Tracked> {
         }
     }
     out.into_iter()
-        .map(|samples| collect(samples, known.grid))
+        .map(|samples| collect(samples, context.grid))
         .collect()
 }
 
@@ -124,16 +124,16 @@ impl TrackSummary {
         let places: Vec<(usize, [f32; 3])> = places.collect();
         let mut steps: Vec<f32> = places.windows(2).map(|w| speed(w[0], w[1])).collect();
         let step = m4_core::median(&mut steps).unwrap_or(0.0);
-        let seen = places
+        let observations = places
             .iter()
             .filter(|(t, _)| tracks.visible()[t * tracks.count() + track]);
-        let colours: Vec<[u8; 3]> = seen
+        let colours: Vec<[u8; 3]> = observations
             .filter_map(|&(t, p)| colour(&capture.frames[t], p))
             .collect();
-        let given = || Some(tracks.colours()?[track].map(|c| f32::from(c) / 255.0));
+        let track_colour = || Some(tracks.colours()?[track].map(|c| f32::from(c) / 255.0));
         Self {
             step,
-            rgb: robust_mean(&colours).or_else(given),
+            rgb: robust_mean(&colours).or_else(track_colour),
         }
     }
 }
@@ -173,26 +173,29 @@ fn robust_mean(colours: &[[u8; 3]]) -> Option<[f32; 3]> {
 
 /// The points that keyframe `i` gets, one per cell, in order of cells.
 fn samples(
-    known: &Known<'_>,
+    context: &TrackContext<'_>,
     tracks: &Tracks,
     summaries: &[TrackSummary],
     cameras: &[&CaptureFrame],
     i: usize,
     config: &InitConfig,
 ) -> Vec<Sample> {
-    let (at, frame) = (known.frames[i], &known.capture.frames[known.frames[i]]);
-    let velocities = Velocities::new(known, tracks, i, config);
+    let (at, frame) = (
+        context.frames[i],
+        &context.capture.frames[context.frames[i]],
+    );
+    let velocities = Velocities::new(context, tracks, i, config);
     let mut out: Vec<Sample> = Vec::new();
     for (k, summary) in summaries.iter().enumerate() {
         let (Some(xyz), Some(rgb)) = (tracks.place(at, k), summary.rgb) else {
             continue;
         };
         let own = !config.tracked.seen && is_visible(frame, xyz, HIDDEN);
-        if own || !is_plausible(known, tracks, (k, summary), (at, xyz), cameras) {
+        if own || !is_plausible(context, tracks, (k, summary), (at, xyz), cameras) {
             continue;
         }
-        let key = known.grid.key(xyz);
-        if known.dynamic[i].1.key.binary_search(&key).is_ok() {
+        let key = context.grid.key(xyz);
+        if context.dynamic[i].1.key.binary_search(&key).is_ok() {
             continue;
         }
         let velocity = velocities.of(k).unwrap_or([0.0; 3]);
@@ -222,15 +225,15 @@ fn mean(cell: &[Sample]) -> Sample {
 
 /// Whether a place of a track is to be believed.
 fn is_plausible(
-    known: &Known<'_>,
+    context: &TrackContext<'_>,
     tracks: &Tracks,
     (track, summary): (usize, &TrackSummary),
     (at, xyz): (usize, [f32; 3]),
     cameras: &[&CaptureFrame],
 ) -> bool {
-    let frame = &known.capture.frames[at];
+    let frame = &context.capture.frames[at];
     let (_, z) = frame.camera.project(&xyz.map(f64::from).into());
-    let [near, far] = known.depth_range;
+    let [near, far] = context.depth_range;
     if tracks.confidence(at, track) < LEAST_CONFIDENCE && !(near..=far).contains(&z) {
         return false;
     }
@@ -244,7 +247,7 @@ fn is_plausible(
         .rev()
         .find_map(|t| Some((t, tracks.place(t, track)?)));
     let after = (at + 1..tracks.frames()).find_map(|t| Some((t, tracks.place(t, track)?)));
-    let most = (JUMP * summary.step).max(SMALL_STEP * known.median_depth as f32);
+    let most = (JUMP * summary.step).max(SMALL_STEP * context.median_depth as f32);
     [before, after]
         .into_iter()
         .flatten()
@@ -266,10 +269,10 @@ fn floats(frame: &CaptureFrame, p: [f32; 3]) -> bool {
     let (x, y) = ((u + 0.5) as usize, (v + 0.5) as usize);
     let rows = y.saturating_sub(1)..(y + 2).min(h);
     let around = rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
-    let known = around
+    let depths = around
         .map(|(x, y)| depth.at(x, y))
         .filter(|d| d.is_finite() && *d > 0.0);
-    known
+    depths
         .min_by(f32::total_cmp)
         .is_some_and(|least| z < f64::from(least * (1.0 - FREE_SPACE)))
 }
@@ -285,15 +288,15 @@ struct Velocities<'a> {
 }
 
 impl<'a> Velocities<'a> {
-    fn new(known: &Known<'a>, tracks: &'a Tracks, i: usize, config: &InitConfig) -> Self {
-        let gap = match known.frames {
-            [first, .., last] => last.abs_diff(*first) / (known.frames.len() - 1),
+    fn new(context: &TrackContext<'a>, tracks: &'a Tracks, i: usize, config: &InitConfig) -> Self {
+        let gap = match context.frames {
+            [first, .., last] => last.abs_diff(*first) / (context.frames.len() - 1),
             _ => 1,
         };
         Self {
-            capture: known.capture,
+            capture: context.capture,
             tracks,
-            at: known.frames[i],
+            at: context.frames[i],
             reach: (gap / 2).max(1),
             zero: matches!(config.velocity, VelocityInit::Zero),
         }

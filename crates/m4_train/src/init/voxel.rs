@@ -141,11 +141,11 @@ impl Grid {
     pub fn occupied_by<T: Sync>(&self, parts: &[T], cloud: impl Fn(&T) -> Cloud + Sync) -> usize {
         let mut all: Vec<(i16, u64)> = Vec::new();
         for batch in parts.chunks(BATCH) {
-            let found: Vec<_> = batch
+            let cells: Vec<_> = batch
                 .par_iter()
                 .map(|part| self.cells(&cloud(part)))
                 .collect();
-            all.extend(found.iter().flatten());
+            all.extend(cells.iter().flatten());
             all.par_sort_unstable();
             all.dedup();
         }
@@ -196,8 +196,8 @@ impl Grid {
                 let keys = self.sorted_keys(&cloud);
                 (cloud, keys)
             };
-            let found: Vec<_> = batch.par_iter().map(sorted).collect();
-            all = found
+            let lists: Vec<_> = batch.par_iter().map(sorted).collect();
+            all = lists
                 .iter()
                 .fold(all, |all, (cloud, keys)| added(&all, cloud, keys));
         }

@@ -210,16 +210,16 @@ pub(crate) fn spread(points: &[[f32; 3]], count: usize) -> Vec<Spread> {
                 second += d * d.transpose();
             }
             second /= (near.len().max(2) - 1) as f64;
-            let Some(found) = second.try_symmetric_eigen(f64::EPSILON, 100) else {
+            let Some(eigen) = second.try_symmetric_eigen(f64::EPSILON, 100) else {
                 return nothing;
             };
-            let mut axes = found.eigenvectors;
+            let mut axes = eigen.eigenvectors;
             if axes.determinant() < 0.0 {
                 axes.column_mut(2).neg_mut();
             }
             let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
             Spread {
-                sd: [0, 1, 2].map(|k| found.eigenvalues[k].max(0.0).sqrt() as f32),
+                sd: [0, 1, 2].map(|k| eigen.eigenvalues[k].max(0.0).sqrt() as f32),
                 quat: [q.w, q.i, q.j, q.k].map(|v| v as f32),
             }
         })

@@ -137,11 +137,11 @@ pub fn check(what: &str, trainer: &mut GpuTrainer, round: &DensityRound<'_>) -> 
             "{what}: number {i} is {a} for {b}"
         );
     }
-    let kept: Vec<u32> = (0..plan.rows.len() as u32)
+    let survivors: Vec<u32> = (0..plan.rows.len() as u32)
         .filter(|&i| plan.origins[i as usize] == Origin::Kept)
         .collect();
     assert!(
-        got.gather(&kept).unwrap() == want.gather(&kept).unwrap(),
+        got.gather(&survivors).unwrap() == want.gather(&survivors).unwrap(),
         "{what}: those that stay"
     );
     stats

@@ -130,15 +130,15 @@ fn a_gpu_learns_what_the_cpu_learns() {
         (everything, 1.0),
         (by_gradient, 0.3),
     ] {
-        let here = train(&scene, &capture, config.clone(), None);
-        let there = train(&scene, &capture, config, Some(&gpu));
-        let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
+        let on_cpu = train(&scene, &capture, config.clone(), None);
+        let on_gpu = train(&scene, &capture, config, Some(&gpu));
+        let [a, b] = [&on_cpu, &on_gpu].map(|t| psnr(t.splats(), &scene, &capture));
         assert!(
             a > before + gain,
             "the CPU learns: {before:.2} to {a:.2} dB"
         );
         assert!((a - b).abs() < 0.1, "CPU {a:.3} dB, GPU {b:.3} dB");
-        let (n, m) = (here.splats().n() as f64, there.splats().n() as f64);
+        let (n, m) = (on_cpu.splats().n() as f64, on_gpu.splats().n() as f64);
         assert!((n - m).abs() < 0.03 * n + 2.0, "{n} and {m} splats");
     }
 }
@@ -188,12 +188,12 @@ fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed()
         let end = trainer.run(&Silent, &mut |_| {});
         (end, trainer.splats().clone())
     };
-    let (end, kept) = run(Some(1));
+    let (end, splats) = run(Some(1));
     let error = end.unwrap_err().to_string();
     for part in ["MB", "splats", "moments", "frames"] {
         assert!(error.contains(part), "{part}: {error}");
     }
-    assert_eq!(kept.n(), start(&scene).n());
+    assert_eq!(splats.n(), start(&scene).n());
     // as little as it takes
     let enough = (2..200).find(|&mb| run(Some(mb)).0.is_ok()).unwrap();
     let (unlimited, limited) = (run(None).1, run(Some(enough)).1);
@@ -224,22 +224,22 @@ fn harmonics_of_colours_are_trained_on_the_device_as_on_the_cpu() {
         ..config(60)
     };
     config.density.enabled = false;
-    let [here, there] = [None, Some(&gpu)].map(|gpu| {
+    let [on_cpu, on_gpu] = [None, Some(&gpu)].map(|gpu| {
         train(&scene, &capture, config.clone(), gpu)
             .into_scene()
             .splats
     });
     assert_eq!(
-        (there.layout().sh_degree, there.layout().time_degree),
+        (on_gpu.layout().sh_degree, on_gpu.layout().time_degree),
         (1, 1)
     );
-    let columns = here.layout().range(Column::Colour);
+    let columns = on_cpu.layout().range(Column::Colour);
     // Adam turns the last digits of small gradients into whole steps: single coefficients differ,
     // all together do not.
     let (mut size, mut difference) = (0.0, 0.0);
-    for (a, b) in here.columns()[columns.clone()]
+    for (a, b) in on_cpu.columns()[columns.clone()]
         .iter()
-        .zip(&there.columns()[columns])
+        .zip(&on_gpu.columns()[columns])
         .skip(3)
     {
         assert!(a.iter().any(|&v| v != 0.0));

@@ -98,11 +98,11 @@ fn add_touched(
     if i < rows {
         let splat = (first + i) as usize;
         if new[splat] != 0u32 {
-            let seen = old[splat] != 0u32;
+            let has_old = old[splat] != 0u32;
             for c in 0u32..columns {
                 let at = (c * rows + i) as usize;
                 let mut value = more[at];
-                if seen {
+                if has_old {
                     value += sum[at];
                 }
                 sum[at] = value;

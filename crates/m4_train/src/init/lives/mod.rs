@@ -235,8 +235,8 @@ fn bisecting(n: usize) -> Vec<usize> {
         step /= 2.0;
     }
     order.extend(0..n);
-    let mut taken = BTreeSet::new();
-    order.retain(|&k| k < n && taken.insert(k));
+    let mut indices = BTreeSet::new();
+    order.retain(|&k| k < n && indices.insert(k));
     order
 }
 

@@ -330,8 +330,8 @@ mod tests {
             })
         };
         let clouds: Vec<_> = (0..4).map(|t| at(t as f32)).collect();
-        let found = between(&clouds, &|_| true);
-        for (i, f) in found.iter().enumerate().skip(1) {
+        let fields = between(&clouds, &|_| true);
+        for (i, f) in fields.iter().enumerate().skip(1) {
             let ahead = f.forward.places(&clouds[i].xyz);
             let good = ahead
                 .iter()
@@ -365,8 +365,8 @@ mod tests {
                 }
             })
             .collect();
-        let found = between(&clouds, &|p| in_image(&p));
-        let field = &found[2].forward;
+        let fields = between(&clouds, &|p| in_image(&p));
+        let field = &fields[2].forward;
         let leaving: Vec<[f32; 3]> = clouds[2]
             .xyz
             .iter()
@@ -388,10 +388,10 @@ mod tests {
 
     #[test]
     fn empty_keyframes_move_nothing() {
-        let found = between(&[cloud(), Centroids::default(), cloud()], &|_| true);
-        let places = found[0].forward.places(&[[0.5; 3]]);
+        let fields = between(&[cloud(), Centroids::default(), cloud()], &|_| true);
+        let places = fields[0].forward.places(&[[0.5; 3]]);
         assert!(distance(places[0], [0.5; 3]) < 1e-5);
-        assert!(found[1].forward.nodes.is_empty());
+        assert!(fields[1].forward.nodes.is_empty());
     }
 
     fn to(from: [f32; 3], to: [f32; 3]) -> Field {
@@ -430,15 +430,15 @@ mod tests {
     fn a_circle_bends_by_its_radius_times_half_the_squared_angle() {
         // before the camera, 0.1 rad from keyframe to keyframe, which are 4 frames apart
         let at = |k: f32| [2.0 * (0.1 * k).sin(), 2.0 * (0.1 * k).cos() - 2.0, 10.0];
-        let found = paths([at(-1.0), at(0.0), at(1.0)], [0.0, 4.0, 8.0]);
+        let paths = paths([at(-1.0), at(0.0), at(1.0)], [0.0, 4.0, 8.0]);
         assert!(
-            (found.bend[0] - 2.0 * 0.1 * 0.1 / 2.0).abs() < 1e-4,
-            "{found:?}"
+            (paths.bend[0] - 2.0 * 0.1 * 0.1 / 2.0).abs() < 1e-4,
+            "{paths:?}"
         );
-        let v = Vector3::from(found.velocity[0]);
+        let v = Vector3::from(paths.velocity[0]);
         assert!(
             (v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5,
-            "{found:?}"
+            "{paths:?}"
         );
     }
 

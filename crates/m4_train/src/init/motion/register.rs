@@ -140,7 +140,7 @@ fn nearest(points: &[[f32; 3]], places: &[[f32; 3]], count: usize) -> Vec<Vec<u3
             .nearest_n::<SquaredEuclidean<f32>>(count)
             .execute()
     });
-    near.map(|found| found.into_iter().map(|n| n.item).collect())
+    near.map(|neighbours| neighbours.into_iter().map(|n| n.item).collect())
         .collect()
 }
 
@@ -261,9 +261,9 @@ impl KeyframeTracks<'_> {
     /// The shifts from keyframe `from` to keyframe `to`; `None` where no track knows both.
     pub fn between(&self, from: usize, to: usize) -> Option<TrackShifts> {
         let (from, to) = (*self.frames.get(from)?, *self.frames.get(to)?);
-        let known = |k: usize| Some((self.tracks.place(from, k)?, self.tracks.place(to, k)?));
+        let endpoints = |k: usize| Some((self.tracks.place(from, k)?, self.tracks.place(to, k)?));
         let (places, ends): (Vec<[f32; 3]>, Vec<[f32; 3]>) =
-            (0..self.tracks.count()).filter_map(known).unzip();
+            (0..self.tracks.count()).filter_map(endpoints).unzip();
         if places.is_empty() {
             return None;
         }
