@@ -75,14 +75,14 @@ impl Smoother {
         // infinite at the rim, where the coupling is 0
         let (right, below) = (cost(&self.right), cost(&self.below));
         let (w, n) = (self.width, values.len());
-        let mut found = values.to_vec();
+        let mut nearest = values.to_vec();
         let mut way: Vec<f32> = weight
             .iter()
             .map(|w| if *w > 0.0 { 0.0 } else { f32::INFINITY })
             .collect();
         let mut pass = |i: usize, from: usize, cost: f32| {
             if way[from] + cost < way[i] {
-                (way[i], found[i]) = (way[from] + cost, found[from]);
+                (way[i], nearest[i]) = (way[from] + cost, nearest[from]);
             }
         };
         for _ in 0..SCANS {
@@ -99,7 +99,7 @@ impl Smoother {
                 }
             }
         }
-        found
+        nearest
     }
 
     /// Approximately minimises `sum (u - f)^2 + lambda sum coupling (u_i - u_j)^2`.
@@ -354,10 +354,10 @@ mod tests {
             .map(|p| f32::from(u8::from((10..30).contains(&(p % w)))))
             .collect();
         let filled = smoother.planes(&slanted, &weight, 900.0);
-        for (p, (found, expected)) in filled.iter().zip(&slanted).enumerate() {
+        for (p, (actual, expected)) in filled.iter().zip(&slanted).enumerate() {
             assert!(
-                (found - expected).abs() < 0.02,
-                "pixel {}, {}: {found} instead of {expected}",
+                (actual - expected).abs() < 0.02,
+                "pixel {}, {}: {actual} instead of {expected}",
                 p % w,
                 p / w
             );
@@ -375,16 +375,16 @@ mod tests {
         let step: Vec<f32> = (0..w * h)
             .map(|p| if p % w < 10 { 1.0 } else { 2.0 })
             .collect();
-        let known = vec![1.0; w * h];
-        let filled = |smoother: &Smoother| smoother.fill(&step, &known, 100.0).0;
+        let weight = vec![1.0; w * h];
+        let filled = |smoother: &Smoother| smoother.fill(&step, &weight, 100.0).0;
         let mut smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
         assert!((filled(&smoother)[9] - 1.0).abs() > 0.2, "one surface");
-        smoother.cut(&step, &known, 0.5);
+        smoother.cut(&step, &weight, 0.5);
         assert!(
             filled(&smoother)
                 .iter()
                 .zip(&step)
-                .all(|(found, expected)| (found - expected).abs() < 0.01)
+                .all(|(actual, expected)| (actual - expected).abs() < 0.01)
         );
         // where nothing is known, nothing is cut
         let mut smoother = Smoother::new(w, h, &vec![[90; 3]; w * h], 10.0);
@@ -409,11 +409,11 @@ mod tests {
         let mixed = smoother.fill(&values, &weight, 900.0).0;
         smoother.cut(&values, &weight, 0.5);
         let filled = smoother.fill(&values, &weight, 900.0).0;
-        for (p, found) in filled.iter().enumerate() {
+        for (p, actual) in filled.iter().enumerate() {
             let expected = if p % w < 10 { 2.0 } else { 1.0 };
             assert!(
-                (found - expected).abs() < 0.02,
-                "pixel {}, {}: {found}",
+                (actual - expected).abs() < 0.02,
+                "pixel {}, {}: {actual}",
                 p % w,
                 p / w
             );

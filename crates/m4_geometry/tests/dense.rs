@@ -21,7 +21,7 @@ fn dense(
     sources: &Sources<'_>,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let found = estimate(
+    let estimates = estimate(
         frames,
         FrameRate::FILM,
         sparse,
@@ -30,7 +30,9 @@ fn dense(
         &DenseConfig::default(),
         progress,
     )?;
-    found.enlarge(frames, progress).map(|dense| dense.frames)
+    estimates
+        .enlarge(frames, progress)
+        .map(|dense| dense.frames)
 }
 
 /// Classical flow alone.
@@ -161,9 +163,9 @@ fn references(drawn: &Drawn) -> Vec<&RgbImage> {
 
 /// Mean relative depth error of static and of moving pixels, and intersection over union of the
 /// masks.
-fn score(drawn: &Drawn, found: &[DenseFrame]) -> ([f64; 2], f64) {
+fn score(drawn: &Drawn, frames: &[DenseFrame]) -> ([f64; 2], f64) {
     let (mut sum, mut count, mut both, mut either) = ([0.0; 2], [0.0; 2], 0.0, 0.0);
-    for (i, frame) in found.iter().enumerate() {
+    for (i, frame) in frames.iter().enumerate() {
         assert_eq!(
             (
                 frame.depth.size(),
@@ -200,8 +202,8 @@ fn score(drawn: &Drawn, found: &[DenseFrame]) -> ([f64; 2], f64) {
 fn depth_and_masks_of_a_drawn_scene() {
     // a second: the longest span over which motion is looked for
     let drawn = draw_frames(0.06, 24);
-    let found = estimate_depth(&references(&drawn), &sparse(&drawn, CameraMotion::Parallax));
-    let ([fixed, moving], iou) = score(&drawn, &found);
+    let frames = estimate_depth(&references(&drawn), &sparse(&drawn, CameraMotion::Parallax));
+    let ([fixed, moving], iou) = score(&drawn, &frames);
     eprintln!("static {fixed:.4}, moving {moving:.4}, masks {iou:.3}");
     // measured: 0.0043, 0.561 and 0.958
     assert!(fixed < 0.007, "static depth is off by {fixed:.4}");
@@ -263,11 +265,11 @@ fn static_camera_gives_masks_and_placeholder_depth() {
     for camera_motion in [CameraMotion::Static, CameraMotion::RotationOnly] {
         let listener = Listener::default();
         let sparse = sparse(&drawn, camera_motion);
-        let found = dense(&references(&drawn), &sparse, &FLOW, &listener).unwrap();
-        let (_, iou) = score(&drawn, &found);
+        let frames = dense(&references(&drawn), &sparse, &FLOW, &listener).unwrap();
+        let (_, iou) = score(&drawn, &frames);
         assert!(iou > 0.5, "{camera_motion:?}: masks overlap by {iou:.3}");
         // Static pixels lie on a sphere around the camera, dynamic ones in front of it.
-        for (frame, camera) in found.iter().zip(&sparse.cameras) {
+        for (frame, camera) in frames.iter().zip(&sparse.cameras) {
             let (w, _) = frame.depth.size();
             for (i, (&z, &mask)) in frame.depth.data().iter().zip(frame.mask.data()).enumerate() {
                 let place = camera.unproject((i % w) as f64, (i / w) as f64, f64::from(z));
@@ -309,8 +311,8 @@ fn single_frame_and_static_scene_succeed() {
         .collect();
     let mut blank = first(&all, 3);
     blank.tracks.clear();
-    let found = estimate_depth(&grey.iter().collect::<Vec<_>>(), &blank);
-    for frame in found {
+    let dense_frames = estimate_depth(&grey.iter().collect::<Vec<_>>(), &blank);
+    for frame in dense_frames {
         assert!(frame.depth.data().iter().all(|z| z.is_finite() && *z > 0.0));
         assert!(frame.mask.data().iter().all(|&m| m == 0));
     }
@@ -444,7 +446,7 @@ fn dynamic_regions_take_depth_from_a_network() {
         ..FLOW
     };
     let config = DenseConfig::default();
-    let found = estimate(
+    let estimates = estimate(
         &frames,
         FrameRate::FILM,
         &sparse,
@@ -454,12 +456,12 @@ fn dynamic_regions_take_depth_from_a_network() {
         &Silent,
     )
     .unwrap();
-    let found = found.enlarge(&frames, &Silent).unwrap();
-    for (i, found) in found.frames.iter().enumerate() {
+    let dense = estimates.enlarge(&frames, &Silent).unwrap();
+    for (i, dense_frame) in dense.frames.iter().enumerate() {
         let pixels = (0..SIZE.0 * SIZE.1).map(|p| (p % SIZE.0, p / SIZE.0));
         let mut errors: Vec<f32> = pixels
             .filter(|&p| drawn.moving[i][p] > 0)
-            .map(|p| (found.depth[p] / drawn.depth[i][p] - 1.0).abs())
+            .map(|p| (dense_frame.depth[p] / drawn.depth[i][p] - 1.0).abs())
             .collect();
         errors.sort_by(f32::total_cmp);
         let middle = errors[errors.len() / 2];

@@ -196,8 +196,8 @@ impl Truth<'_> {
         // The depth is that of the nearest pixel, so its own ray is taken and moved by what lies
         // between.
         let (a, b) = (&self.scene.cameras[i], &self.scene.cameras[j]);
-        let ([u2, v2], there) = b.project(&a.unproject(u, v, z));
-        if there <= 0.1 {
+        let ([u2, v2], target_depth) = b.project(&a.unproject(u, v, z));
+        if target_depth <= 0.1 {
             return nowhere;
         }
         let back =
@@ -208,7 +208,7 @@ impl Truth<'_> {
         ];
         let hit = self
             .nearest(u2, v2)
-            .map(|q| f64::from(self.scene.depth[j][q]) / there);
+            .map(|q| f64::from(self.scene.depth[j][q]) / target_depth);
         let visible = !moving && hit.is_some_and(|ratio| (ratio - 1.0).abs() < 0.02);
         Seen {
             at,
@@ -228,13 +228,13 @@ impl Correspondence for Truth<'_> {
         for edge in &mut revision.edges {
             for n in 0..grid.len() {
                 let (x, y) = ((8 * (n % grid.width)) as f64, (8 * (n / grid.width)) as f64);
-                let seen = self.seen(edge.key.source_frame, edge.key.target_frame, x, y);
-                let weight = if seen.visible { 1.0 } else { 0.0 };
+                let observation = self.seen(edge.key.source_frame, edge.key.target_frame, x, y);
+                let weight = if observation.visible { 1.0 } else { 0.0 };
                 for axis in 0..2 {
-                    edge.target_px[axis][n] = seen.at[axis] / 8.0;
+                    edge.target_px[axis][n] = observation.at[axis] / 8.0;
                     edge.weight[axis][n] = weight;
                 }
-                edge.static_confidence[n] = if seen.moving { 0.0 } else { 1.0 };
+                edge.static_confidence[n] = if observation.moving { 0.0 } else { 1.0 };
             }
         }
         for source in &mut revision.sources {
@@ -248,9 +248,10 @@ impl Correspondence for Truth<'_> {
         let (mut sum, mut count) = (0.0, 0.0);
         for n in 0..grid.len() {
             let (x, y) = ((8 * (n % grid.width)) as f64, (8 * (n / grid.width)) as f64);
-            let seen = self.seen(from, to, x, y);
-            if seen.visible {
-                sum += (f64::from(seen.at[0]) - x).hypot(f64::from(seen.at[1]) - y) / 8.0;
+            let observation = self.seen(from, to, x, y);
+            if observation.visible {
+                sum += (f64::from(observation.at[0]) - x).hypot(f64::from(observation.at[1]) - y)
+                    / 8.0;
                 count += 1.0;
             }
         }
@@ -279,11 +280,11 @@ impl PairFlow for Truth<'_> {
             };
             for n in 0..width * height {
                 let (x, y) = ((n % width) as f64, (n / width) as f64);
-                let seen = self.seen(i, j, x, y);
+                let observation = self.seen(i, j, x, y);
                 // What is hidden is far from where it came when it goes back.
-                let miss = if seen.visible { 0.0 } else { 50.0 };
-                field.u.push(seen.at[0] - x as f32 + miss);
-                field.v.push(seen.at[1] - y as f32);
+                let miss = if observation.visible { 0.0 } else { 50.0 };
+                field.u.push(observation.at[0] - x as f32 + miss);
+                field.v.push(observation.at[1] - y as f32);
             }
             field
         };
@@ -305,8 +306,8 @@ fn monocular_depth(scene: &Scene) -> Vec<Plane<f32>> {
 
 /// Root mean square distance of camera centres after a similarity, over the length of the path; and
 /// the factor of the similarity.
-fn path_error(found: &MegasamGeometry, scene: &Scene) -> (f64, f64) {
-    let got: Vec<Vector3<f64>> = found.c2w.iter().map(|p| p.translation).collect();
+fn path_error(geometry: &MegasamGeometry, scene: &Scene) -> (f64, f64) {
+    let got: Vec<Vector3<f64>> = geometry.c2w.iter().map(|p| p.translation).collect();
     let want: Vec<Vector3<f64>> = scene.cameras.iter().map(|c| c.c2w.translation).collect();
     let fit = Sim3::umeyama(&got, &want).unwrap();
     let square: f64 = got
@@ -319,9 +320,9 @@ fn path_error(found: &MegasamGeometry, scene: &Scene) -> (f64, f64) {
 }
 
 /// The greatest turn between found and true directions of view, first to frame, degrees.
-fn turn_error_deg(found: &MegasamGeometry, scene: &Scene) -> f64 {
-    let first = (found.c2w[0].rotation, scene.cameras[0].c2w.rotation);
-    let turns = found.c2w.iter().zip(&scene.cameras).map(|(a, b)| {
+fn turn_error_deg(geometry: &MegasamGeometry, scene: &Scene) -> f64 {
+    let first = (geometry.c2w[0].rotation, scene.cameras[0].c2w.rotation);
+    let turns = geometry.c2w.iter().zip(&scene.cameras).map(|(a, b)| {
         let (a, b) = (
             first.0.transpose() * a.rotation,
             first.1.transpose() * b.c2w.rotation,
@@ -365,12 +366,12 @@ fn true_flow_gives_true_cameras_and_depth() {
         prior: Some(&prior),
     };
     let tracked = track(&input, &mut truth, &settings, &Silent).unwrap();
-    let found = reconstruct(&input, tracked, &mut flow, &settings, &Silent).unwrap();
-    let (path, scale) = path_error(&found, &scene);
-    let turn = turn_error_deg(&found, &scene);
-    let focal = found.lens.fx / lens.fx - 1.0;
+    let geometry = reconstruct(&input, tracked, &mut flow, &settings, &Silent).unwrap();
+    let (path, scale) = path_error(&geometry, &scene);
+    let turn = turn_error_deg(&geometry, &scene);
+    let focal = geometry.lens.fx / lens.fx - 1.0;
     let (mut off, mut count) = (0.0, 0.0);
-    for (k, depth) in found.depth.iter().enumerate() {
+    for (k, depth) in geometry.depth.iter().enumerate() {
         for y in (4..size.cropped.1).step_by(3) {
             for x in (4..size.cropped.0).step_by(3) {
                 let at = truth
@@ -387,11 +388,11 @@ fn true_flow_gives_true_cameras_and_depth() {
     let depth = off / count;
     println!(
         "path {path:.5}, scale {scale:.4}, turn {turn:.4} degrees, focal {focal:+.5}, depth {depth:.4}, {} keyframes, residual {:.3} px, {:?}",
-        found.keyframes.len(),
-        found.residual_px,
-        found.observability
+        geometry.keyframes.len(),
+        geometry.residual_px,
+        geometry.observability
     );
-    assert!(found.metric && found.focal_adjusted);
+    assert!(geometry.metric && geometry.focal_adjusted);
     assert!(path < 0.005, "path off by {path}");
     assert!(turn < 0.2, "turned by {turn} degrees");
     assert!(focal.abs() < 0.005, "focal length off by {focal}");

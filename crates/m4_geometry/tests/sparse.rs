@@ -77,23 +77,23 @@ fn reconstruct(
     config: &SparseConfig,
 ) -> Result<SparseReconstruction, SparseError> {
     let frames: Vec<&RgbImage> = images.iter().collect();
-    let found = track_features(&frames, config, &Silent)?.recover(None, config, &Silent)?;
-    Ok(found.sparse)
+    let result = track_features(&frames, config, &Silent)?.recover(None, config, &Silent)?;
+    Ok(result.sparse)
 }
 
 #[test]
 fn a_rendered_room_is_reconstructed() {
     let truth = cameras(0.06, 0.008);
-    let found =
+    let reconstruction =
         reconstruct(&render_all(&truth), &SparseConfig::default()).expect("a reconstruction");
     assert_eq!(
-        found.camera_motion,
+        reconstruction.camera_motion,
         CameraMotion::Parallax,
         "{:?}",
-        found.warnings
+        reconstruction.warnings
     );
     let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<_>>();
-    let (ours, want) = (centres(&found.cameras), centres(&truth));
+    let (ours, want) = (centres(&reconstruction.cameras), centres(&truth));
     let fit = Sim3::umeyama(&ours, &want).expect("a trajectory");
     let worst = ours
         .iter()
@@ -102,11 +102,15 @@ fn a_rendered_room_is_reconstructed() {
         .fold(0.0, f64::max);
     let path: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     assert!(worst < 0.02 * path, "off by {worst} on a path of {path}");
-    let focal = found.cameras[0].intrinsics.fx;
+    let focal = reconstruction.cameras[0].intrinsics.fx;
     assert!((focal / 230.0 - 1.0).abs() < 0.08, "focal {focal}");
     // Tracks that begin on the plate move, those that stay clear of it do not.
     let (mut on, mut on_moves, mut off, mut off_moves) = (0, 0, 0, 0);
-    for t in found.tracks.iter().filter(|t| t.motion != Motion::Unknown) {
+    for t in reconstruction
+        .tracks
+        .iter()
+        .filter(|t| t.motion != Motion::Unknown)
+    {
         let inside = t
             .observations
             .iter()
@@ -147,9 +151,13 @@ fn static_and_turning_cameras_are_distinguished() {
         (0.01, CameraMotion::RotationOnly),
     ] {
         let images = render_all(&cameras(0.0, turn));
-        let found = reconstruct(&images, &SparseConfig::default()).expect("poses");
-        assert_eq!(found.camera_motion, motion, "{:?}", found.warnings);
-        assert!(!found.warnings.is_empty());
+        let reconstruction = reconstruct(&images, &SparseConfig::default()).expect("poses");
+        assert_eq!(
+            reconstruction.camera_motion, motion,
+            "{:?}",
+            reconstruction.warnings
+        );
+        assert!(!reconstruction.warnings.is_empty());
     }
 }
 

@@ -71,8 +71,8 @@ impl Correspondence for FlowCorrespondence {
         let width = revision.grid.width;
         for edge in &mut revision.edges {
             let Some(flow) = self.edges.get(&edge.key.id) else {
-                let known = "the edge was never announced";
-                return Err(CorrespondenceError(known.into()));
+                let reason = "the edge was never announced";
+                return Err(CorrespondenceError(reason.into()));
             };
             for n in 0..revision.grid.len() {
                 edge.target_px[0][n] = (n % width) as f32 + flow.flow_px[0][n];
@@ -201,9 +201,9 @@ fn flow(i: usize, j: usize) -> DenseFlow {
             && (0.0..=95.0).contains(&x)
             && (0.0..=63.0).contains(&y)
             && (cast(&camera(j), &ball(j), x, y).0 / p.z - 1.0).abs() < 0.02;
-        let known = |x: f64| if p.z > 0.1 { x as f32 } else { 0.0 };
-        out.flow_px[0].push(known(x - u + NOISE_PX * rng.normal()));
-        out.flow_px[1].push(known(y - v + NOISE_PX * rng.normal()));
+        let flow_px = |x: f64| if p.z > 0.1 { x as f32 } else { 0.0 };
+        out.flow_px[0].push(flow_px(x - u + NOISE_PX * rng.normal()));
+        out.flow_px[1].push(flow_px(y - v + NOISE_PX * rng.normal()));
         out.confidence.push(if visible { 1.0 } else { 0.0 });
         out.still.push(if moving { 0.0 } else { 1.0 });
     }

@@ -69,7 +69,7 @@ fn score(scene: &BoxScene, tracks: &Tracks) -> Score {
         let hit = scene.cast(first, u, v);
         for t in 0..scene.frames() {
             let truth = scene.place(hit.body, &hit.local, t);
-            let (there, z) = scene.cameras[t].project(&truth);
+            let (true_px, z) = scene.cameras[t].project(&truth);
             let sees = scene.sees(hit.body, &hit.local, t);
             all += 1;
             hidden += u32::from(!sees);
@@ -88,7 +88,7 @@ fn score(scene: &BoxScene, tracks: &Tracks) -> Score {
             }
             .push(error);
             let (here, depth) = scene.cameras[t].project(&place);
-            let off_px = (here[0] - there[0]).hypot(here[1] - there[1]);
+            let off_px = (here[0] - true_px[0]).hypot(here[1] - true_px[1]);
             if (depth / z - 1.0).abs() <= 0.05 && off_px <= 10.0 {
                 right += 1;
                 recovered += u32::from(!sees);

@@ -76,10 +76,10 @@ pub struct SparseReconstruction {
     pub warnings: Vec<String>,
 }
 
-/// The message for lists of another clip: `found` of `what` for `frames` frames.
-fn check_count(what: &str, found: usize, frames: usize) -> Result<(), String> {
-    let fault = || format!("there are {found} {what} for {frames} frames; give one per frame");
-    if found == frames {
+/// Fails unless there are as many `what` as frames of the clip.
+fn check_count(what: &str, count: usize, frames: usize) -> Result<(), String> {
+    let fault = || format!("there are {count} {what} for {frames} frames; give one per frame");
+    if count == frames {
         Ok(())
     } else {
         Err(fault())

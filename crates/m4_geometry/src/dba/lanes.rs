@@ -173,12 +173,12 @@ pub(super) fn linearise(
         let px = r[0][0] * rx[l] + r[0][1] * ry[l] + r[0][2] + t[0] * d;
         let py = r[1][0] * rx[l] + r[1][1] * ry[l] + r[1][2] + t[1] * d;
         let pz = r[2][0] * rx[l] + r[2][1] * ry[l] + r[2][2] + t[2] * d;
-        let seen = pz > edge.min_depth;
-        let iz = 1.0 / if seen { pz } else { 1.0 };
+        let visible = pz > edge.min_depth;
+        let iz = 1.0 / if visible { pz } else { 1.0 };
         let (x, y, e) = (px * iz, py * iz, d * iz);
         let (ru, rv) = (tu[l] - (fx * x + edge.cx), tv[l] - (fy * y + edge.cy));
         let robust = 1.0 / (1.0 + (ru * ru + rv * rv) * edge.inverse_square);
-        let keep = if seen { edge.scale * robust } else { 0.0 };
+        let keep = if visible { edge.scale * robust } else { 0.0 };
         out.w[l] = wu[l] * keep;
         out.w[BLOCK + l] = wv[l] * keep;
         out.r[l] = ru;

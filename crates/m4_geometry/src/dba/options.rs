@@ -119,14 +119,14 @@ pub const MIN_DISPARITY: f64 = 1e-6;
 #[inline(always)]
 pub fn stepped_disparity<T: Real>(d: T, step: T) -> T {
     let d = d + step;
-    let kept = if d > T::of(MAX_DISPARITY) {
+    let limited = if d > T::of(MAX_DISPARITY) {
         T::zero()
     } else {
         d
     };
     // written so that a NaN becomes the least disparity
-    if kept > T::of(MIN_DISPARITY) {
-        kept
+    if limited > T::of(MIN_DISPARITY) {
+        limited
     } else {
         T::of(MIN_DISPARITY)
     }

@@ -162,12 +162,12 @@ impl<T: Real> Problem<'_, T> {
             )));
         }
         let plane = |what: &str, index: usize, plane: Option<&Vec<T>>| {
-            let found = plane.map_or(0, Vec::len);
-            if found == expected {
+            let count = plane.map_or(0, Vec::len);
+            if count == expected {
                 return Ok(());
             }
             Err(DbaError(format!(
-                "{what} {index} has {found} values while the grid has {expected} pixels; give planes of [height * width]"
+                "{what} {index} has {count} values while the grid has {expected} pixels; give planes of [height * width]"
             )))
         };
         for i in 0..frames {

@@ -100,17 +100,17 @@ fn coarse_to_fine(a: &[Level], b: &[Level]) -> Flow {
 
 /// How far a pixel lands from where it started after going there and back, pixels; infinite
 /// outside.
-pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
-    let (w, h) = (there.width, there.height);
+pub(crate) fn round_trip_px(forward: &Flow, backward: &Flow) -> Vec<f32> {
+    let (w, h) = (forward.width, forward.height);
     let mut out = vec![0.0; w * h];
     for y in 0..h {
         for x in 0..w {
             let i = y * w + x;
-            let (qx, qy) = (x as f32 + there.u[i], y as f32 + there.v[i]);
+            let (qx, qy) = (x as f32 + forward.u[i], y as f32 + forward.v[i]);
             let inside = qx >= 0.0 && qy >= 0.0 && qx <= (w - 1) as f32 && qy <= (h - 1) as f32;
             out[i] = if inside {
-                let (u, v) = back.at(qx, qy);
-                let (x, y) = (there.u[i] + u, there.v[i] + v);
+                let (u, v) = backward.at(qx, qy);
+                let (x, y) = (forward.u[i] + u, forward.v[i] + v);
                 (x * x + y * y).sqrt()
             } else {
                 f32::INFINITY
@@ -189,13 +189,13 @@ mod tests {
             b.push(gain * texture(bx, by));
         }
         let (a, b) = (pyramid(W, H, &a), pyramid(W, H, &b));
-        let (there, back) = (flow(&a, &b), flow(&b, &a));
-        let trip = round_trip_px(&there, &back);
+        let (forward, backward) = (flow(&a, &b), flow(&b, &a));
+        let trip = round_trip_px(&forward, &backward);
         let (mut sum, mut trips, mut count) = (0.0, 0.0, 0.0);
         for y in 12..H - 12 {
             for x in 12..W - 12 {
                 let (u, v) = motion(x as f32, y as f32);
-                sum += (there.u[y * W + x] - u).hypot(there.v[y * W + x] - v);
+                sum += (forward.u[y * W + x] - u).hypot(forward.v[y * W + x] - v);
                 trips += trip[y * W + x];
                 count += 1.0;
             }
@@ -232,15 +232,15 @@ mod tests {
                 .map(|i| texture((i % w) as f32 - shift, (i / w) as f32))
                 .collect()
         };
-        let found = flow(&pyramid(w, h, &image(0.0)), &pyramid(w, h, &image(0.3)));
-        assert_eq!((found.width, found.height), (w, h));
-        assert!(found.u.iter().chain(&found.v).all(|v| v.is_finite()));
+        let actual = flow(&pyramid(w, h, &image(0.0)), &pyramid(w, h, &image(0.3)));
+        assert_eq!((actual.width, actual.height), (w, h));
+        assert!(actual.u.iter().chain(&actual.v).all(|v| v.is_finite()));
     }
 
     #[test]
     fn flow_of_flat_images_is_zero() {
         let flat = pyramid(W, H, &vec![77.0; W * H]);
-        let found = flow(&flat, &flat);
-        assert!(found.u.iter().chain(&found.v).all(|v| v.abs() < 1e-3));
+        let actual = flow(&flat, &flat);
+        assert!(actual.u.iter().chain(&actual.v).all(|v| v.abs() < 1e-3));
     }
 }

@@ -185,11 +185,11 @@ pub(super) fn search(a: &Level, b: &Level, start: Flow) -> Flow {
                 }
             }
             if improved {
-                let found = search.descend(&patches[i], flow[i]);
-                let moved = (found[0] - initial[i][0]).hypot(found[1] - initial[i][1]);
-                let c = search.cost(&patches[i], found);
+                let candidate = search.descend(&patches[i], flow[i]);
+                let moved = (candidate[0] - initial[i][0]).hypot(candidate[1] - initial[i][1]);
+                let c = search.cost(&patches[i], candidate);
                 if c < cost[i] && moved < 2.0 * PATCH_PX as f32 {
-                    (flow[i], cost[i]) = (found, c);
+                    (flow[i], cost[i]) = (candidate, c);
                 }
             }
         }

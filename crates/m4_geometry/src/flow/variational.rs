@@ -140,7 +140,7 @@ fn linearise(a: &Level, b: &Level, flow: &Flow) -> System {
         before,
         above,
     };
-    let seen = Seen {
+    let samples = Seen {
         image,
         dx,
         dy,
@@ -151,7 +151,7 @@ fn linearise(a: &Level, b: &Level, flow: &Flow) -> System {
         iyy,
         inside,
     };
-    in_lanes!(w * h, i => system.set(a, &seen, flow, i));
+    in_lanes!(w * h, i => system.set(a, &samples, flow, i));
     system
 }
 
@@ -172,12 +172,18 @@ struct Seen {
 impl System {
     /// Sets `N` pixels from `i` on.
     #[inline(always)]
-    fn set<const N: usize>(&mut self, a: &Level, seen: &Seen, flow: &Flow, i: usize) {
+    fn set<const N: usize>(&mut self, a: &Level, samples: &Seen, flow: &Flow, i: usize) {
         let at = |plane: &[f32]| load::<N>(plane, i);
         let [image, dx, dy, inside] =
-            [&seen.image, &seen.dx, &seen.dy, &seen.inside].map(|plane| at(plane));
-        let [ix, iy, ixx, ixy, iyy] =
-            [&seen.ix, &seen.iy, &seen.ixx, &seen.ixy, &seen.iyy].map(|plane| at(plane));
+            [&samples.image, &samples.dx, &samples.dy, &samples.inside].map(|plane| at(plane));
+        let [ix, iy, ixx, ixy, iyy] = [
+            &samples.ix,
+            &samples.iy,
+            &samples.ixx,
+            &samples.ixy,
+            &samples.iyy,
+        ]
+        .map(|plane| at(plane));
         let [a_image, a_dx, a_dy, u, v] =
             [&a.image, &a.dx, &a.dy, &flow.u, &flow.v].map(|plane| at(plane));
         let [left, right] = [i, i + 1].map(|i| load::<N>(&self.before, i));

@@ -54,11 +54,11 @@ impl Coarse<'_> {
     /// Refuses what cannot be worked with: another number of frames than the clip has, or a frame
     /// without pixels.
     pub(super) fn check(&self, frames: usize) -> Result<(), InstanceError> {
-        let found = self.frames();
+        let count = self.frames();
         let refused = |what: String| Err(InstanceError::Input(what));
-        if found != frames {
+        if count != frames {
             return refused(format!(
-                "{found} coarse masks were given for {frames} frames; give one per frame"
+                "{count} coarse masks were given for {frames} frames; give one per frame"
             ));
         }
         match (0..frames).find(|&i| self.size(i).0 == 0 || self.size(i).1 == 0) {
@@ -223,11 +223,11 @@ pub(super) fn proposals(rough: &CoarseMasks<'_>, around: &Around, covered: &[u8]
         if pixels.len() < least {
             continue;
         }
-        let seen = |other: &&Vec<u8>| {
-            let there = pixels.iter().filter(|&&p| other[p as usize] > 0).count();
-            there as f32 >= PERSISTENT_OVERLAP * pixels.len() as f32
+        let is_present = |other: &&Vec<u8>| {
+            let overlap = pixels.iter().filter(|&&p| other[p as usize] > 0).count();
+            overlap as f32 >= PERSISTENT_OVERLAP * pixels.len() as f32
         };
-        let seen_in = 1 + others.iter().filter(seen).count() + (2 - others.len().min(2));
+        let seen_in = 1 + others.iter().filter(is_present).count() + (2 - others.len().min(2));
         let mut inside = vec![false; w * h];
         for &p in &pixels {
             inside[p as usize] = true;
@@ -322,16 +322,16 @@ mod tests {
         let mask: Vec<u8> = (0..W * H)
             .map(|p| u8::from(square(p % W, p / W) || thread(p % W, p / W)))
             .collect();
-        let found = opened(W, H, &mask, 2.0);
+        let actual = opened(W, H, &mask, 2.0);
         for p in 0..W * H {
             let (x, y) = (p % W, p / W);
-            assert!(found[p] == 0 || square(x, y), "column {x}, row {y}");
+            assert!(actual[p] == 0 || square(x, y), "column {x}, row {y}");
             assert!(
-                found[p] > 0 || !square(x, y) || on_corner(x, y),
+                actual[p] > 0 || !square(x, y) || on_corner(x, y),
                 "column {x}, row {y}"
             );
         }
-        assert!(count(&found) > 20 * 15 - 16);
+        assert!(count(&actual) > 20 * 15 - 16);
         assert_eq!(count(&opened(W, H, &vec![0; W * H], 2.0)), 0);
         assert_eq!(count(&opened(W, H, &vec![9; W * H], 2.0)), W * H);
     }

@@ -41,7 +41,7 @@ pub(super) fn finish(
         Some(share) => bounded(rough, things, frames, share, progress)?,
         None => things,
     };
-    let mut kept: Vec<(u16, &TrackedObject, f64)> = Vec::new();
+    let mut objects: Vec<(u16, &TrackedObject, f64)> = Vec::new();
     for (thing, &share) in things.iter().zip(&support) {
         if share < f64::from(LEAST_SUPPORT) || thing.masks.is_empty() {
             rejected.push(Rejected {
@@ -52,7 +52,7 @@ pub(super) fn finish(
             });
             continue;
         }
-        kept.push((kept.len() as u16 + 1, thing, share));
+        objects.push((objects.len() as u16 + 1, thing, share));
     }
     rejected.sort_by_key(|r| r.frame);
 
@@ -63,7 +63,7 @@ pub(super) fn finish(
             if progress.cancelled() {
                 return Err(InstanceError::Cancelled { phase: PHASE });
             }
-            let shown: Vec<(u16, &Outline)> = kept
+            let shown: Vec<(u16, &Outline)> = objects
                 .iter()
                 .filter_map(|(id, thing, _)| Some((*id, thing.masks.get(&frame)?)))
                 .collect();
@@ -88,7 +88,7 @@ pub(super) fn finish(
         coarse_share: share(&|p| p.coarse_px),
         refined_share: share(&|p| p.frame.mask.count()),
         unexplained_share: share(&|p| p.unexplained_px),
-        instances: kept.iter().filter_map(record).collect(),
+        instances: objects.iter().filter_map(record).collect(),
         rejected,
     };
     Ok(Refined {
@@ -131,11 +131,11 @@ fn support(
         }
         let coarse = rough.at(frame).raw;
         let backed = |outline: &Outline| {
-            let there = outline
+            let overlap = outline
                 .pixels()
                 .filter(|(x, y)| coarse[y * width + x] > 0)
                 .count();
-            there as f64 >= SUPPORT * outline.area() as f64
+            overlap as f64 >= SUPPORT * outline.area() as f64
         };
         Ok(shown
             .into_iter()
@@ -390,15 +390,15 @@ mod tests {
                 && x != 15
         });
         let small = outline(|x, y| (10..14).contains(&x) && (8..12).contains(&y));
-        let mut found = painted_ids(&[(3, &large), (7, &small)], SIZE);
+        let mut ids = painted_ids(&[(3, &large), (7, &small)], SIZE);
         assert_eq!(
-            (found[(3, 3)], found[(11, 9)], found[(5, 5)], found[(15, 9)]),
+            (ids[(3, 3)], ids[(11, 9)], ids[(5, 5)], ids[(15, 9)]),
             (3, 7, 0, 0)
         );
-        fill_holes(&mut found, 4);
-        assert_eq!((found[(5, 5)], found[(15, 9)], found[(0, 0)]), (3, 0, 0));
-        fill_holes(&mut found, 10_000);
+        fill_holes(&mut ids, 4);
+        assert_eq!((ids[(5, 5)], ids[(15, 9)], ids[(0, 0)]), (3, 0, 0));
+        fill_holes(&mut ids, 10_000);
         // The gap at column 15 is open to what is outside.
-        assert_eq!((found[(15, 9)], found[(0, 0)]), (0, 0));
+        assert_eq!((ids[(15, 9)], ids[(0, 0)]), (0, 0));
     }
 }

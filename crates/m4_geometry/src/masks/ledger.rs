@@ -25,9 +25,9 @@ pub(super) struct TrackedObject {
 impl TrackedObject {
     /// Notes how it is seen in a frame, going on in a direction; `most_px` is the area beyond which
     /// a sudden growth is background.
-    pub fn note(&mut self, frame: usize, found: &ObjectMask, later: bool, most_px: usize) {
-        self.lost[usize::from(!later)] |= found.lost;
-        let Some(outline) = Outline::of(&found.mask) else {
+    pub fn note(&mut self, frame: usize, answer: &ObjectMask, later: bool, most_px: usize) {
+        self.lost[usize::from(!later)] |= answer.lost;
+        let Some(outline) = Outline::of(&answer.mask) else {
             return;
         };
         let near = if later {

@@ -167,18 +167,18 @@ impl Search<'_, '_> {
             return Err(InstanceError::Cancelled { phase: PHASE });
         }
         let later = to > from;
-        let known = |thing: &&TrackedObject| {
-            let there = if later {
+        let is_known = |thing: &&TrackedObject| {
+            let in_range = if later {
                 thing.prompted <= from
             } else {
                 thing.prompted >= from
             };
-            there && !thing.lost[usize::from(!later)]
+            in_range && !thing.lost[usize::from(!later)]
         };
         let objects: Vec<ObjectId> = self
             .things
             .values()
-            .filter(known)
+            .filter(is_known)
             .map(|t| t.object)
             .collect();
         if objects.is_empty() {
@@ -192,14 +192,14 @@ impl Search<'_, '_> {
         } else {
             "tracking objects backwards"
         };
-        let mut sink = |frame: usize, found: Vec<ObjectMask>| {
-            for found in &found {
-                if let Some(thing) = things.get_mut(&found.object) {
-                    thing.note(frame, found, later, most_px);
+        let mut sink = |frame: usize, answers: Vec<ObjectMask>| {
+            for answer in &answers {
+                if let Some(thing) = things.get_mut(&answer.object) {
+                    thing.note(frame, answer, later, most_px);
                 }
             }
             let done = if later { frame + 1 } else { frames - frame };
-            progress.update(way, done, frames, &format!("{} objects", found.len()));
+            progress.update(way, done, frames, &format!("{} objects", answers.len()));
         };
         self.session.follow(&objects, from, to, progress, &mut sink)
     }
@@ -237,9 +237,9 @@ impl Search<'_, '_> {
             .iter()
             .map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h)))
             .collect();
-        let found = self.session.prompt(frame, &prompts)?;
-        for ((object, part), found) in asked.into_iter().zip(&found) {
-            self.judge(frame, object, &part, found)?;
+        let answers = self.session.prompt(frame, &prompts)?;
+        for ((object, part), answer) in asked.into_iter().zip(&answers) {
+            self.judge(frame, object, &part, answer)?;
         }
         Ok(())
     }
@@ -250,10 +250,10 @@ impl Search<'_, '_> {
         frame: usize,
         object: ObjectId,
         part: &Proposal,
-        found: &ObjectMask,
+        answer: &ObjectMask,
     ) -> Result<(), InstanceError> {
         let (w, h) = self.rough.size;
-        let Some(outline) = Outline::of(&found.mask) else {
+        let Some(outline) = Outline::of(&answer.mask) else {
             self.drop(frame, object, part, Rejection::Nothing);
             return Ok(());
         };
@@ -279,11 +279,11 @@ impl Search<'_, '_> {
         } else {
             outline
         };
-        let mut there = self
+        let mut masks = self
             .things
             .values()
             .filter_map(|thing| thing.masks.get(&frame));
-        if there.any(|mask| mask.overlap(&outline) > MERGE_OVERLAP) {
+        if masks.any(|mask| mask.overlap(&outline) > MERGE_OVERLAP) {
             self.drop(frame, object, part, Rejection::Duplicate);
             return Ok(());
         }

@@ -113,11 +113,11 @@ impl DepthPrior {
         size: &TrackingSize,
     ) -> Result<Self, MegasamError> {
         pixels(disparity)?;
-        let known = |d: &&f32| d.is_finite() && **d > 0.0;
+        let is_known = |d: &&f32| d.is_finite() && **d > 0.0;
         let mut all: Vec<f64> = disparity
             .iter()
             .flat_map(|plane| plane.data())
-            .filter(known)
+            .filter(is_known)
             .map(|&d| f64::from(d))
             .collect();
         let norm = if all.is_empty() {
@@ -308,14 +308,14 @@ impl MonoAlignment {
     pub fn sensor_depth(&self, relative: &[f32]) -> Vec<f32> {
         let (scale, shift) = (self.scales[self.index], self.shifts[self.index]);
         let depth = |a: f32| (self.norm / (scale * f64::from(a) + shift)).clamp(1e-4, 1e4);
-        let known = |d: f64| {
+        let depth_or_zero = |d: f64| {
             if d < LEAST_SENSOR_DEPTH {
                 0.0
             } else {
                 d as f32
             }
         };
-        relative.iter().map(|&a| known(depth(a))).collect()
+        relative.iter().map(|&a| depth_or_zero(depth(a))).collect()
     }
 }
 

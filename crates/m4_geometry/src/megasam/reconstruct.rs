@@ -247,17 +247,17 @@ fn check(
             input.prior.map_or(expected, DepthPrior::frames),
         ),
     ];
-    for (what, found) in lists {
-        if found != expected {
+    for (what, count) in lists {
+        if count != expected {
             return refused(format!(
-                "{what} of {found} frames were given for {expected} images; give one an image, all of one size"
+                "{what} of {count} frames were given for {expected} images; give one an image, all of one size"
             ));
         }
     }
     let size = TrackingSize::new(full, settings.tracking_pixels)?;
     let maps = input.prior.filter(|prior| prior.frames() > 0);
     match maps.map(|prior| prior.disparity(0).size()) {
-        Some(found) if found != size.cropped => other_size(0, found, size.cropped),
+        Some(other) if other != size.cropped => other_size(0, other, size.cropped),
         _ => Ok(size),
     }
 }
@@ -286,8 +286,8 @@ impl PairFlow for InverseSearch {
 
     fn both(&mut self, _: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[Flow; 2], SourceError> {
         let [from, to] = [a, b].map(|image| ScaledFrame::new(image, image.size()));
-        let (there, back) = InverseSearch::both(*self, &from, &to);
-        Ok([there, back])
+        let (forward, backward) = InverseSearch::both(*self, &from, &to);
+        Ok([forward, backward])
     }
 }
 
@@ -321,13 +321,13 @@ pub(super) fn measure(
         };
         let b = image_of(pair.target);
         let both = flow.both(pair, &a, &b);
-        let [there, back] = both.map_err(|source| MegasamError::Flow {
+        let [forward, backward] = both.map_err(|source| MegasamError::Flow {
             between: (pair.source, pair.target),
             source,
         })?;
-        let [there, back] = [there, back].map(|flow| halved(&flow));
-        let mask = consistency_mask(&there, &back);
-        store.push(pair, &there, &mask)?;
+        let [forward, backward] = [forward, backward].map(|flow| halved(&flow));
+        let mask = consistency_mask(&forward, &backward);
+        store.push(pair, &forward, &mask)?;
         // The next pair of the shortest step begins here.
         last = Some((pair.target, b));
         progress.update(PHASE, done + 1, pairs.len(), flow.name());

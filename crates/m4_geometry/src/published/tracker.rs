@@ -205,11 +205,11 @@ fn the_back_end_follows_the_published_trace() {
         &golden.values("A_motion_prob"),
     );
     assert!(off < 1e-5, "static confidence is off by {off:e}");
-    let seen = backend.observability(&keyframes).expect("a sound graph");
+    let actual = backend.observability(&keyframes).expect("a sound graph");
     let want = golden.values("A_observability");
     assert!(
-        (seen.depth / want[0] - 1.0).abs() < 1e-3 && (seen.focal / want[1] - 1.0).abs() < 1e-3,
-        "{seen:?}, {want:?}"
+        (actual.depth / want[0] - 1.0).abs() < 1e-3 && (actual.focal / want[1] - 1.0).abs() < 1e-3,
+        "{actual:?}, {want:?}"
     );
 
     let mut keyframes = backend_input(&golden, &front, golden.lens("B_intrinsics_in"));

@@ -196,12 +196,12 @@ mod tests {
 
     #[test]
     fn sparse_planes_return_the_stored_values() {
-        let known = |i: usize| (i % 3 == 1 && i != 7).then_some(i * 10);
-        let sparse = Sparse::new(4, 3, known);
+        let value_at = |i: usize| (i % 3 == 1 && i != 7).then_some(i * 10);
+        let sparse = Sparse::new(4, 3, value_at);
         for y in 0..4 {
             for x in 0..6 {
                 let want = if x < 4 && y < 3 {
-                    known(y * 4 + x)
+                    value_at(y * 4 + x)
                 } else {
                     None
                 };

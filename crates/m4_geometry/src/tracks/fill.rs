@@ -79,8 +79,8 @@ fn sweep(
         for (&k, memory) in new.iter().zip(memories) {
             lost[k] = Some(memory);
         }
-        let known = |k: usize| board.state[board.at(before, k)] != State::Unknown;
-        let open = |k: &usize| known(*k) && unknown(board, *k);
+        let is_known = |k: usize| board.state[board.at(before, k)] != State::Unknown;
+        let open = |k: &usize| is_known(*k) && unknown(board, *k);
         let open: Vec<(usize, &Lost)> = (0..board.count)
             .filter(open)
             .filter_map(|k| lost[k].as_ref().map(|l| (k, l)))
@@ -163,10 +163,10 @@ fn least(surface: &DepthMap, at: [f32; 2]) -> f32 {
     let (x, y) = nearest(at);
     let rows = y.saturating_sub(1)..(y + 2).min(h);
     let pixels = rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
-    let known = pixels
+    let depths = pixels
         .map(|p| surface[p])
         .filter(|z| z.is_finite() && *z > 0.0);
-    known.min_by(f32::total_cmp).unwrap_or(0.0)
+    depths.min_by(f32::total_cmp).unwrap_or(0.0)
 }
 
 /// The piece of a track that begins where the point should be, if what is seen there may be it.
@@ -184,28 +184,28 @@ fn again(
     if !same_depth(z, 1.0 / f64::from(around(strip, now, at))) {
         return None;
     }
-    let mut seen = one_way(strip, now, at, forward);
-    let first = if forward { now } else { now - seen.len() };
-    seen.insert(0, at);
+    let mut positions = one_way(strip, now, at, forward);
+    let first = if forward { now } else { now - positions.len() };
+    positions.insert(0, at);
     if !forward {
-        seen.reverse();
+        positions.reverse();
     }
-    let pieces = lift(strip, &Chain { first, seen });
+    let pieces = lift(strip, &Chain { first, positions });
     let piece = pieces
         .into_iter()
         .find(|p| (p.first..p.first + p.places.len()).contains(&now))?;
     // A little later it must still be where its neighbours say.
     let reach = (piece.places.len() - 1).min(PROOF - 1);
     let then = if forward { now + reach } else { now - reach };
-    if let (Some(want), Some(found)) = (
+    if let (Some(want), Some(actual)) = (
         memory.check(board, track, then),
         then.checked_sub(piece.first)
             .and_then(|i| piece.places.get(i)),
     ) {
-        let found = Vector3::from(found.map(f64::from));
+        let actual = Vector3::from(actual.map(f64::from));
         let (a, b) = (
             strip.cameras[then].project(&want),
-            strip.cameras[then].project(&found),
+            strip.cameras[then].project(&actual),
         );
         let off = (a.0[0] - b.0[0]).hypot(a.0[1] - b.0[1]);
         if !(off <= f64::from(JOIN_PX) && same_depth(a.1, b.1)) {
@@ -253,8 +253,8 @@ impl Board {
         frame * self.count + track
     }
 
-    /// The place of a track that is seen; `None` where it is not.
-    pub fn seen(&self, frame: usize, track: usize) -> Option<[f32; 3]> {
+    /// The place of a track in a frame where it is visible; `None` elsewhere.
+    pub fn visible_place(&self, frame: usize, track: usize) -> Option<[f32; 3]> {
         let i = self.at(frame, track);
         (self.state[i] == State::Seen).then(|| self.places[i])
     }
@@ -343,7 +343,7 @@ mod tests {
         assert_eq!(board.state[board.at(2, 0)], State::Unknown);
         assert!(board.places[board.at(3, 0)][0].is_nan());
         assert_eq!(board.state[board.at(2, 1)], State::Predicted);
-        assert_eq!(board.seen(5, 1), Some([3.0; 3]));
+        assert_eq!(board.visible_place(5, 1), Some([3.0; 3]));
         assert_eq!(board.seen_in(1).collect::<Vec<_>>(), [0, 1]);
     }
 }

@@ -76,25 +76,25 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid) -> Vec<Lifted> {
     let mut all: Vec<Chain> = Vec::new();
     let frames = strip.moving.len();
     for start in grid.starts(frames) {
-        let mut taken = vec![false; columns * strip.height.div_ceil(cell)];
+        let mut occupied = vec![false; columns * strip.height.div_ceil(cell)];
         for chain in &all {
             if let Some(at) = start
                 .checked_sub(chain.first)
-                .and_then(|k| chain.seen.get(k))
+                .and_then(|k| chain.positions.get(k))
             {
-                taken[cell_of(at)] = true;
+                occupied[cell_of(at)] = true;
             }
         }
-        let free = (0..taken.len()).filter(|&c| !taken[c]);
+        let free = (0..occupied.len()).filter(|&c| !occupied[c]);
         let moves = |x: usize, y: usize| strip.moving[start].get(x, y).is_some();
         let size = (strip.width, strip.height);
         let seeds = free.filter_map(|c| seed(size, c % columns, c / columns, cell, &moves));
         let seeds: Vec<[f32; 2]> = seeds.collect();
-        let found: Vec<Chain> = seeds
+        let chains: Vec<Chain> = seeds
             .par_iter()
             .map(|at| chain(strip, start, *at))
             .collect();
-        all.extend(found.into_iter().filter(|c| c.seen.len() >= SHORTEST));
+        all.extend(chains.into_iter().filter(|c| c.positions.len() >= SHORTEST));
     }
     let lifted: Vec<Vec<Lifted>> = all.par_iter().map(|chain| lift(strip, chain)).collect();
     let lifted: Vec<Lifted> = lifted.into_iter().flatten().collect();
@@ -135,9 +135,9 @@ fn strip(clip: &CaptureClip<'_>, progress: &dyn Progress) -> Result<Strip, Track
             .par_windows(2)
             .map(|pair| sparse_flow_pair([&pair[0], &pair[1]]))
             .collect();
-        for [there, back] in pairs {
-            out.forward.push(there);
-            out.backward.push(back);
+        for [forward, backward] in pairs {
+            out.forward.push(forward);
+            out.backward.push(backward);
         }
         progress.update(PHASE, to, frames, "");
         last = batch.pop();
@@ -150,17 +150,17 @@ fn strip(clip: &CaptureClip<'_>, progress: &dyn Progress) -> Result<Strip, Track
 pub(crate) struct Chain {
     pub first: usize,
     /// Pixel coordinates in frames `first..`.
-    pub seen: Vec<[f32; 2]>,
+    pub positions: Vec<[f32; 2]>,
 }
 
 /// The chain through `at` of frame `start`, as far as it goes both ways.
 pub(crate) fn chain(strip: &Strip, start: usize, at: [f32; 2]) -> Chain {
-    let mut seen = one_way(strip, start, at, false);
-    let first = start - seen.len();
-    seen.reverse();
-    seen.push(at);
-    seen.extend(one_way(strip, start, at, true));
-    Chain { first, seen }
+    let mut positions = one_way(strip, start, at, false);
+    let first = start - positions.len();
+    positions.reverse();
+    positions.push(at);
+    positions.extend(one_way(strip, start, at, true));
+    Chain { first, positions }
 }
 
 /// Where the point at `at` of frame `start` is in the frames after it, or before, as far as it can
@@ -240,7 +240,7 @@ pub(crate) struct Lifted {
 
 /// The pieces of a chain between jumps, in the world.
 pub(crate) fn lift(strip: &Strip, chain: &Chain) -> Vec<Lifted> {
-    let frames = || (chain.first..).zip(&chain.seen);
+    let frames = || (chain.first..).zip(&chain.positions);
     let raw: Vec<f32> = frames()
         .map(|(frame, at)| around(strip, frame, *at))
         .collect();
@@ -274,7 +274,7 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain) -> Vec<Lifted> {
         if to - from >= SHORTEST {
             let depth = smooth(&raw[from..to], SMOOTH_FRAMES);
             let piece = (chain.first + from..)
-                .zip(&chain.seen[from..to])
+                .zip(&chain.positions[from..to])
                 .zip(&depth);
             let places: Vec<[f32; 3]> = piece
                 .map(|((frame, at), d)| place(frame, at, *d))

@@ -73,11 +73,11 @@ fn nearest(tree: &Tree, p: &[f32; 3], count: usize) -> Vec<(f32, usize)> {
     let Some(count) = NonZero::new(count) else {
         return Vec::new();
     };
-    let found = tree
+    let neighbours = tree
         .query(p)
         .nearest_n::<SquaredEuclidean<f32>>(count)
         .execute();
-    let mut out: Vec<(f32, usize)> = found
+    let mut out: Vec<(f32, usize)> = neighbours
         .into_iter()
         .map(|n| (n.distance, n.item as usize))
         .collect();
@@ -91,9 +91,12 @@ fn vector(p: [f32; 3]) -> Vector3<f64> {
 
 /// What is remembered of `tracks`, which were last seen in frame `since`.
 pub(super) fn lose(board: &Board, camera: &Camera, since: usize, tracks: &[usize]) -> Vec<Lost> {
-    let seen: Vec<usize> = board.seen_in(since).collect();
-    let places: Vec<[f32; 3]> = seen.iter().filter_map(|&k| board.seen(since, k)).collect();
-    let thin: Vec<usize> = seen.iter().copied().step_by(THINNER).collect();
+    let visible: Vec<usize> = board.seen_in(since).collect();
+    let places: Vec<[f32; 3]> = visible
+        .iter()
+        .filter_map(|&k| board.visible_place(since, k))
+        .collect();
+    let thin: Vec<usize> = visible.iter().copied().step_by(THINNER).collect();
     let thin_places: Vec<[f32; 3]> = places.iter().copied().step_by(THINNER).collect();
     let (Some(all), Some(thinner)) = (tree(&places), tree(&thin_places)) else {
         return Vec::new();
@@ -103,7 +106,7 @@ pub(super) fn lose(board: &Board, camera: &Camera, since: usize, tracks: &[usize
         let at = board.places[board.at(since, k)];
         let close = nearest(&all, &at, (NEAREST + 1).min(places.len()));
         let far = nearest(&thinner, &at, FARTHER.min(thin.len()));
-        let mut near: Vec<(f32, usize)> = close.iter().map(|&(d, i)| (d, seen[i])).collect();
+        let mut near: Vec<(f32, usize)> = close.iter().map(|&(d, i)| (d, visible[i])).collect();
         near.extend(far.into_iter().map(|(d, i)| (d, thin[i])));
         near.retain(|&(_, j)| j != k);
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
@@ -140,7 +143,9 @@ fn spacing(tree: &Tree, places: &[[f32; 3]]) -> f64 {
 /// How far two tracks seem to be of one body: 1 where they kept their distance, towards 0 where
 /// they did not.
 fn kinship(board: &Board, frame: usize, a: usize, b: usize, spacing: f64) -> f64 {
-    let apart = |t: usize| Some((vector(board.seen(t, a)?) - vector(board.seen(t, b)?)).norm());
+    let apart = |t: usize| {
+        Some((vector(board.visible_place(t, a)?) - vector(board.visible_place(t, b)?)).norm())
+    };
     let Some(now) = apart(frame) else { return 0.0 };
     let others = BACK.iter().flat_map(|&k| {
         [
@@ -185,11 +190,11 @@ impl Step {
     pub fn new(board: &Board, before: usize, now: usize) -> Self {
         let both = board
             .seen_in(before)
-            .filter(|&k| board.seen(now, k).is_some());
+            .filter(|&k| board.visible_place(now, k).is_some());
         let tracks: Vec<usize> = both.collect();
         let places: Vec<[f32; 3]> = tracks
             .iter()
-            .filter_map(|&k| board.seen(before, k))
+            .filter_map(|&k| board.visible_place(before, k))
             .collect();
         let tree = tree(&places);
         Self {
@@ -265,7 +270,11 @@ impl Lost {
             .filter(|(_, kin)| *kin > 0.05)
             .filter_map(|&(j, kin)| {
                 let place = board.places[board.at(self.since, j as usize)];
-                Some((vector(place), vector(board.seen(now, j as usize)?), kin))
+                Some((
+                    vector(place),
+                    vector(board.visible_place(now, j as usize)?),
+                    kin,
+                ))
             });
         self.weighted(&from, both.take(NEIGHBOURS).collect())
     }
@@ -280,8 +289,8 @@ impl Lost {
         let both = near.into_iter().filter_map(|(_, i)| {
             let k = step.tracks[i];
             Some((
-                vector(board.seen(step.before, k)?),
-                vector(board.seen(step.now, k)?),
+                vector(board.visible_place(step.before, k)?),
+                vector(board.visible_place(step.now, k)?),
                 1.0,
             ))
         });
@@ -356,8 +365,8 @@ impl Lost {
     ) -> Option<Guess> {
         let from = board.places[board.at(step.before, track)];
         let last = board.places[board.at(earlier?, track)];
-        let known = self.blind < BLIND_FRAMES && last.iter().all(|v| v.is_finite());
-        known.then(|| Guess {
+        let usable = self.blind < BLIND_FRAMES && last.iter().all(|v| v.is_finite());
+        usable.then(|| Guess {
             place: 2.0 * vector(from) - vector(last),
             rotation: self.rotation,
             state: State::Blind,

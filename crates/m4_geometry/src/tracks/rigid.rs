@@ -52,7 +52,7 @@ pub(super) fn fit(anchors: &[Anchor], prior: &Rotation3<f64>, spacing: f64) -> O
     let misses: Vec<f64> = shifts.iter().map(|s| (s - middle).norm()).collect();
     // A turn moves anchors apart as well, so the first guess is a mild one.
     reweigh(&mut weights, anchors, &misses, 2.0 * OUTLIER, 0.5 * spacing);
-    let mut found = None;
+    let mut best = None;
     for _ in 0..ROUNDS {
         let now = least_squares(anchors, &weights, prior, spacing)?;
         let misses: Vec<f64> = anchors
@@ -60,9 +60,9 @@ pub(super) fn fit(anchors: &[Anchor], prior: &Rotation3<f64>, spacing: f64) -> O
             .map(|a| (now.apply(&a.from) - a.to).norm())
             .collect();
         let miss = reweigh(&mut weights, anchors, &misses, OUTLIER, 0.02 * spacing);
-        found = Some(Fit { miss, ..now });
+        best = Some(Fit { miss, ..now });
     }
-    found
+    best
 }
 
 /// New weights; the median miss, by the anchors' own weights.
@@ -161,9 +161,9 @@ mod tests {
                 weight: 1.0,
             })
             .collect();
-        let found = fit(&anchors, &Rotation3::identity(), 0.2).unwrap();
+        let actual = fit(&anchors, &Rotation3::identity(), 0.2).unwrap();
         let p = Vector3::new(0.8, -0.3, 0.5);
-        let miss = (found.apply(&p) - (turn * p + shift)).norm();
+        let miss = (actual.apply(&p) - (turn * p + shift)).norm();
         assert!(miss < 0.01, "{miss}");
     }
 
@@ -176,8 +176,8 @@ mod tests {
             to: prior * Vector3::new(1.0, 2.0, 3.0) + shift,
             weight: 0.5,
         };
-        let found = fit(&[one], &prior, 0.1).unwrap();
-        assert!((found.rotation.matrix() - prior.matrix()).norm() < 1e-9);
+        let actual = fit(&[one], &prior, 0.1).unwrap();
+        assert!((actual.rotation.matrix() - prior.matrix()).norm() < 1e-9);
         // a line along x, turned about z: the turn about the line itself stays at the prior
         let turn = Rotation3::from_scaled_axis(Vector3::new(0.0, 0.0, 0.4)) * prior;
         let line: Vec<Anchor> = (0..9)
@@ -190,8 +190,8 @@ mod tests {
                 }
             })
             .collect();
-        let found = fit(&line, &prior, 0.1).unwrap();
-        let off = (found.rotation.matrix() - turn.matrix()).norm();
+        let actual = fit(&line, &prior, 0.1).unwrap();
+        let off = (actual.rotation.matrix() - turn.matrix()).norm();
         assert!(off < 0.02, "{off}");
         assert!(fit(&[], &prior, 0.1).is_none());
         let nothing = Anchor { weight: 0.0, ..one };

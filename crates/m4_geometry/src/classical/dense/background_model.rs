@@ -105,7 +105,7 @@ fn backgrounds(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<Backgroun
     } else {
         all.clone()
     };
-    let mut seen: Vec<[f32; 3]> = Vec::new();
+    let mut colours: Vec<[f32; 3]> = Vec::new();
     (0..zone.len())
         .map(|p| {
             if zone[p] == 0 {
@@ -119,15 +119,15 @@ fn backgrounds(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<Backgroun
                     .filter(|_| at.disparity > 0.0)
             };
             for frames in [&near, &all] {
-                seen.clear();
-                seen.extend(frames.iter().filter_map(|pair| shown(pair, false)));
-                if seen.len() >= LEAST_FRAMES {
-                    return Some(agreed(seen.iter()));
+                colours.clear();
+                colours.extend(frames.iter().filter_map(|pair| shown(pair, false)));
+                if colours.len() >= LEAST_FRAMES {
+                    return Some(agreed(colours.iter()));
                 }
             }
-            seen.clear();
-            seen.extend(all.iter().filter_map(|pair| shown(pair, true)));
-            recurring(&seen)
+            colours.clear();
+            colours.extend(all.iter().filter_map(|pair| shown(pair, true)));
+            recurring(&colours)
         })
         .collect()
 }
@@ -143,41 +143,41 @@ impl Scene<'_> {
     }
 }
 
-/// The colour that `seen`, in order of time, shows again and again between others; `None` if there
-/// is none.
-fn recurring(seen: &[[f32; 3]]) -> Option<Background> {
+/// The colour that recurs between others among `colours`, which are in order of time; `None` if
+/// there is none.
+fn recurring(colours: &[[f32; 3]]) -> Option<Background> {
     let within =
-        |of: &[f32; 3], most: f32| seen.iter().filter(|s| difference(of, s) <= most).count();
-    let least = (LEAST_RECURRENCE * seen.len() as f32).max(LEAST_RUNS as f32);
+        |of: &[f32; 3], most: f32| colours.iter().filter(|s| difference(of, s) <= most).count();
+    let least = (LEAST_RECURRENCE * colours.len() as f32).max(LEAST_RUNS as f32);
     // the first of those that most agree with
-    let (count, of) = seen
+    let (count, of) = colours
         .iter()
         .map(|s| (within(s, RECURRENCE_NOISE), s))
         .reduce(|best, other| if other.0 > best.0 { other } else { best })?;
     let shows = |s: &[f32; 3]| difference(of, s) <= RECURRENCE_NOISE;
-    let runs = seen
+    let runs = colours
         .chunk_by(|a, b| shows(a) == shows(b))
         .filter(|run| shows(&run[0]))
         .count();
     let gradual = within(of, 2.0 * RECURRENCE_NOISE) - count;
     if (count as f32) < least
         || runs < LEAST_RUNS
-        || gradual as f32 > MOST_GRADUAL * (seen.len() - count) as f32
+        || gradual as f32 > MOST_GRADUAL * (colours.len() - count) as f32
     {
         return None;
     }
     Some(Background {
         spread: RECURRENCE_NOISE,
-        ..agreed(seen.iter().filter(|s| shows(s)))
+        ..agreed(colours.iter().filter(|s| shows(s)))
     })
 }
 
-/// What frames agree on that have `seen` a pixel.
-fn agreed<'a>(seen: impl Iterator<Item = &'a [f32; 3]> + Clone) -> Background {
-    let colour = array::from_fn(|c| median(seen.clone().map(|s| s[c])));
+/// The background of a pixel: the median of its `colours` in several frames, and their spread.
+fn agreed<'a>(colours: impl Iterator<Item = &'a [f32; 3]> + Clone) -> Background {
+    let colour = array::from_fn(|c| median(colours.clone().map(|s| s[c])));
     Background {
         colour,
-        spread: median(seen.map(|s| difference(s, &colour))),
+        spread: median(colours.map(|s| difference(s, &colour))),
     }
 }
 
@@ -214,15 +214,15 @@ fn evidence(
     };
     // Shadows keep the pattern of what they fall on: the background may be darker by one factor
     // around a pixel.
-    let here = around(&|p, _| frame.rgb[p].map(f32::from).iter().sum());
-    let there = around(&|_, b| b.colour.iter().sum());
-    let (spread, known) = (around(&|_, b| b.spread), around(&|_, _| 1.0));
+    let own_light = around(&|p, _| frame.rgb[p].map(f32::from).iter().sum());
+    let background_light = around(&|_, b| b.colour.iter().sum());
+    let (spread, count) = (around(&|_, b| b.spread), around(&|_, _| 1.0));
     let pixel = |p: usize| {
         let still = background[p]?.colour;
         let rgb = frame.rgb[p].map(f32::from);
-        let step = (STEP * spread[p] / known[p]).clamp(*STEP_RANGE.start(), *STEP_RANGE.end())
+        let step = (STEP * spread[p] / count[p]).clamp(*STEP_RANGE.start(), *STEP_RANGE.end())
             * if before[p] > 0 { 1.0 } else { STEP_OUTSIDE };
-        let gain = (here[p] / there[p].max(1.0)).clamp(LEAST_GAIN, 1.0);
+        let gain = (own_light[p] / background_light[p].max(1.0)).clamp(LEAST_GAIN, 1.0);
         let shadow = difference(&rgb, &still.map(|c| gain * c)) / step + GAIN_COST * (1.0 - gain);
         Some((difference(&rgb, &still) / step).min(shadow).min(2.0) - 1.0)
     };
@@ -368,10 +368,10 @@ mod tests {
                 _ => background.map(|v| v + noise(k)),
             })
             .collect();
-        let found = recurring(&rotor).unwrap().colour;
+        let actual = recurring(&rotor).unwrap().colour;
         assert!(
-            (0..3).all(|c| (found[c] - background[c]).abs() < 3.0),
-            "{found:?}"
+            (0..3).all(|c| (actual[c] - background[c]).abs() < 3.0),
+            "{actual:?}"
         );
         let sways: Vec<[f32; 3]> = (0..32)
             .map(|k| [100.0 + 40.0 * (0.8 * k as f32).sin(); 3])
@@ -440,21 +440,21 @@ mod tests {
         let background = vec![vec![0.25f32; W * H]; FRAMES];
         let t = FRAMES / 2;
         // the share of the object that speaks for motion, by how much the light flickers
-        let found = |flicker: u8| {
+        let measure = |flicker: u8| {
             let light = |t: usize| [0, flicker, 2 * flicker][t % 3];
             let shots = shots(|t, x, y| {
                 [wall(&cameras, t, x, y) + light(t) + 15 * u8::from(inside(t, x, y)); 3]
             });
             let scene = scene(&cameras, &shots, &background, &near);
-            let seen = backgrounds(&scene, t, &near[t]);
-            let evidence = evidence(&scene, t, &near[t], &seen);
+            let backgrounds = backgrounds(&scene, t, &near[t]);
+            let evidence = evidence(&scene, t, &near[t], &backgrounds);
             let object: Vec<f32> = (0..W * H)
                 .filter(|p| near[t][*p] > 0)
                 .filter_map(|p| evidence[p])
                 .collect();
             object.iter().filter(|e| **e > 0.0).count() as f64 / object.len() as f64
         };
-        let (steady, flickering) = (found(0), found(6));
+        let (steady, flickering) = (measure(0), measure(6));
         assert!(steady > 0.9 && flickering < 0.1, "{steady} {flickering}");
     }
 

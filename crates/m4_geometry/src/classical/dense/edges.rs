@@ -65,15 +65,18 @@ impl Merged<'_> {
     /// colours of `others`. What was not measured stays so.
     pub fn assigned(&self, i: usize, others: &[usize], smoother: &Smoother) -> Measured {
         let mut out = self.depth[i].clone();
-        let known = self.known(i);
+        let known_pixels = self.known_pixels(i);
         let views: Vec<(usize, Pair)> = others
             .iter()
             .map(|&j| (j, Pair::new(&self.cameras[i], &self.cameras[j])))
             .collect();
-        let steps = Steps::of(&self.shots[i], &out.disparity, &known);
-        let (mut evidence, mut weight) = (vec![0.0f32; known.len()], vec![0.0f32; known.len()]);
+        let steps = Steps::of(&self.shots[i], &out.disparity, &known_pixels);
+        let (mut evidence, mut weight) = (
+            vec![0.0f32; known_pixels.len()],
+            vec![0.0f32; known_pixels.len()],
+        );
         let mut doubtful = Vec::new();
-        for p in (0..known.len()).filter(|p| known[*p]) {
+        for p in (0..known_pixels.len()).filter(|p| known_pixels[*p]) {
             let Some(middle) = steps.middle(p) else {
                 continue;
             };
@@ -98,7 +101,7 @@ impl Merged<'_> {
     }
 
     /// Which pixels of frame `i` are static and measured.
-    fn known(&self, i: usize) -> Vec<bool> {
+    fn known_pixels(&self, i: usize) -> Vec<bool> {
         self.depth[i]
             .confidence
             .iter()
@@ -116,8 +119,8 @@ impl Merged<'_> {
             -PRIOR
         };
         let difference = |disparity| self.colour_difference(i, p, disparity, views);
-        let seen = difference(surfaces.near).zip(difference(surfaces.far));
-        measured + seen.map_or(0.0, |(near, far)| (far - near) / MOST_DIFFERENCE)
+        let differences = difference(surfaces.near).zip(difference(surfaces.far));
+        measured + differences.map_or(0.0, |(near, far)| (far - near) / MOST_DIFFERENCE)
     }
 
     /// Mean difference to the colours that `views` show on pixel `p` of frame `i` at a disparity,
@@ -133,16 +136,17 @@ impl Merged<'_> {
         let (w, h) = (frame.width, frame.height);
         let (mut sum, mut count) = (0.0, 0);
         for (j, pair) in views {
-            let seen = pair.project((p % w) as f32, (p / w) as f32, disparity);
-            let Some(q) = pixel_at(w, h, seen.x, seen.y).filter(|_| seen.disparity > 0.0) else {
+            let target = pair.project((p % w) as f32, (p / w) as f32, disparity);
+            let Some(q) = pixel_at(w, h, target.x, target.y).filter(|_| target.disparity > 0.0)
+            else {
                 continue;
             };
-            let nearer = seen.disparity + STEP * self.shots[*j].range.step;
+            let nearer = target.disparity + STEP * self.shots[*j].range.step;
             let hidden = self.depth[*j].confidence[q] > 0.0 && self.depth[*j].disparity[q] > nearer;
             if hidden || self.moving[*j][q] > 0 {
                 continue;
             }
-            let theirs = bilinear_rgb(w, h, &self.shots[*j].frame.rgb, seen.x, seen.y);
+            let theirs = bilinear_rgb(w, h, &self.shots[*j].frame.rgb, target.x, target.y);
             let difference: f32 = theirs
                 .iter()
                 .zip(frame.rgb[p])
@@ -166,7 +170,7 @@ impl Surfaces {
 struct Steps<'a> {
     size: (usize, usize),
     disparity: &'a [f32],
-    known: &'a [bool],
+    known_pixels: &'a [bool],
     /// Least difference of two surfaces.
     least: f32,
     /// Least and largest known disparity within [`WINDOW_PX`] and within [`DOUBT_PX`]; infinite
@@ -179,13 +183,13 @@ struct Steps<'a> {
 }
 
 impl<'a> Steps<'a> {
-    fn of(shot: &Shot, disparity: &'a [f32], known: &'a [bool]) -> Self {
+    fn of(shot: &Shot, disparity: &'a [f32], known_pixels: &'a [bool]) -> Self {
         let size = (shot.frame.width, shot.frame.height);
         let or = |unknown: f32| -> Vec<f32> {
             disparity
                 .iter()
-                .zip(known)
-                .map(|(d, known)| if *known { *d } else { unknown })
+                .zip(known_pixels)
+                .map(|(d, is_known)| if *is_known { *d } else { unknown })
                 .collect()
         };
         let (low, high) = (or(f32::INFINITY), or(f32::NEG_INFINITY));
@@ -201,7 +205,7 @@ impl<'a> Steps<'a> {
         Self {
             size,
             disparity,
-            known,
+            known_pixels,
             least: STEP * shot.range.step,
             window,
             doubt,
@@ -230,7 +234,7 @@ impl<'a> Steps<'a> {
         for v in (y.saturating_sub(FIT_PX)..(y + FIT_PX + 1).min(h)).step_by(FIT_STRIDE) {
             for u in (x.saturating_sub(FIT_PX)..(x + FIT_PX + 1).min(w)).step_by(FIT_STRIDE) {
                 let q = v * w + u;
-                if !self.known[q] {
+                if !self.known_pixels[q] {
                     continue;
                 }
                 let at = [u as f32 - x as f32, v as f32 - y as f32];
@@ -384,11 +388,15 @@ mod tests {
     #[test]
     fn outlines_that_are_too_wide_or_too_narrow_go_to_the_edge() {
         for grown in [-2, 0, 2] {
-            let found = assigned(grown, |_| false);
-            let wrong = found.disparity.iter().enumerate().filter(|(p, found)| {
-                let truth = if post(3, p % W, 0) { NEAR } else { FAR };
-                (*found - truth).abs() > 0.01
-            });
+            let actual = assigned(grown, |_| false);
+            let wrong = actual
+                .disparity
+                .iter()
+                .enumerate()
+                .filter(|(p, disparity)| {
+                    let truth = if post(3, p % W, 0) { NEAR } else { FAR };
+                    (*disparity - truth).abs() > 0.01
+                });
             // of four columns, none where the depth was right
             let (wrong, before) = (wrong.count(), 2 * H * grown.unsigned_abs() as usize);
             assert!(
@@ -464,10 +472,10 @@ mod tests {
     fn extremes_are_those_of_the_square() {
         let mut values = vec![0.0; 7 * 5];
         values[2 * 7 + 3] = 1.0;
-        let found = around((7, 5), &values, 1, f32::max);
-        for (p, found) in found.iter().enumerate() {
+        let actual = around((7, 5), &values, 1, f32::max);
+        for (p, value) in actual.iter().enumerate() {
             assert_eq!(
-                *found == 1.0,
+                *value == 1.0,
                 (p % 7).abs_diff(3) <= 1 && (p / 7).abs_diff(2) <= 1,
                 "pixel {p}"
             );

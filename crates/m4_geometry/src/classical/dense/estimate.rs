@@ -120,14 +120,15 @@ pub fn estimate(
         sources,
         progress,
     };
-    let given = masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
+    let input_masks =
+        masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
     let MotionSegmentation {
         moving,
         measured,
         filled,
         refined,
-    } = clip.segment_motion(swept, given)?;
-    let found = Clip {
+    } = clip.segment_motion(swept, input_masks)?;
+    let scene = Clip {
         width: w,
         height: h,
         rate,
@@ -137,12 +138,12 @@ pub fn estimate(
         flows: &flows,
     };
     let mut disparity = if parallax || !mono.is_empty() {
-        moving_depth::place(&found)
+        moving_depth::place(&scene)
     } else {
-        layers::place(&found, &shots)
+        layers::place(&scene, &shots)
     };
     if parallax && ground.one_lens {
-        rigid_objects::place(&found, |i| clip.smoother(i), &mut disparity, progress)?;
+        rigid_objects::place(&scene, |i| clip.smoother(i), &mut disparity, progress)?;
     }
     for ((disparity, refined), moving) in disparity.iter_mut().zip(refined).zip(&moving) {
         for ((d, refined), _) in disparity
@@ -160,12 +161,12 @@ pub fn estimate(
         }
         mono.overrule(i, &mut disparity[i]);
     }
-    let found = Clip {
+    let scene = Clip {
         disparity: &disparity,
-        ..found
+        ..scene
     };
     let tracks = match config.tracks {
-        true => tracks::tracks(&found, &QueryGrid::chains(), progress)?,
+        true => tracks::tracks(&scene, &QueryGrid::chains(), progress)?,
         false => None,
     };
     let confidence = measured

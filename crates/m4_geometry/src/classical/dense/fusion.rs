@@ -33,7 +33,7 @@ pub(super) fn fuse(
 ) -> Measured {
     let size = (shots[i].frame.width, shots[i].frame.height);
     let (w, h) = size;
-    let seen = seen(cameras, measured, others, i, w);
+    let disparities = disparities_at(cameras, measured, others, i, w);
     let others: Vec<Other<'_>> = others
         .iter()
         .map(|&j| {
@@ -52,9 +52,9 @@ pub(super) fn fuse(
         confidence: vec![0.0; w * h],
     };
     let mut values = Vec::new();
-    for (p, seen) in seen.chunks_exact(others.len() + 1).enumerate() {
+    for (p, candidates) in disparities.chunks_exact(others.len() + 1).enumerate() {
         values.clear();
-        values.extend(seen.iter().copied().filter(|d| *d > 0.0));
+        values.extend(candidates.iter().copied().filter(|d| *d > 0.0));
         values.sort_unstable_by(|a, b| b.total_cmp(a));
         let at = [(p % w) as f32, (p / w) as f32];
         let hidden = |d: f32| values.iter().take_while(|v| **v > d + same).count();
@@ -109,9 +109,12 @@ struct Other<'a> {
 impl Other<'_> {
     /// Whether it measured something well behind `disparity` at a place of the other frame.
     fn sees_through(&self, [x, y]: [f32; 2], disparity: f32) -> bool {
-        let seen = self.pair.project(x, y, disparity);
-        let q = pixel_at(self.size.0, self.size.1, seen.x, seen.y).filter(|_| seen.disparity > 0.0);
-        q.is_some_and(|q| self.depth[q].1 > 0.0 && self.depth[q].0 < seen.disparity - self.through)
+        let target = self.pair.project(x, y, disparity);
+        let q = pixel_at(self.size.0, self.size.1, target.x, target.y)
+            .filter(|_| target.disparity > 0.0);
+        q.is_some_and(|q| {
+            self.depth[q].1 > 0.0 && self.depth[q].0 < target.disparity - self.through
+        })
     }
 
     /// Disparities within `same` of `disparity` in the four pixels around that place, as the other
@@ -125,12 +128,12 @@ impl Other<'_> {
         same: f32,
     ) -> impl Iterator<Item = (f32, f32)> {
         let (w, h) = self.size;
-        let seen = self.pair.project(x, y, disparity);
+        let target = self.pair.project(x, y, disparity);
         let (right, bottom) = ((w - 1) as f32, (h - 1) as f32);
-        let inside = seen.disparity > 0.0
-            && (0.0..right).contains(&seen.x)
-            && (0.0..bottom).contains(&seen.y);
-        let (q, wx, wy) = bilinear_cell(w, h, seen.x, seen.y);
+        let inside = target.disparity > 0.0
+            && (0.0..right).contains(&target.x)
+            && (0.0..bottom).contains(&target.y);
+        let (q, wx, wy) = bilinear_cell(w, h, target.x, target.y);
         let corners = if inside {
             [
                 (q, 1.0 - wx, 1.0 - wy),
@@ -141,10 +144,10 @@ impl Other<'_> {
         } else {
             [(0, 0.0, 0.0); 4]
         };
-        let unit = disparity / seen.disparity;
+        let unit = disparity / target.disparity;
         corners.into_iter().filter_map(move |(q, wx, wy)| {
             let (theirs, confidence) = self.depth[q];
-            let difference = (theirs - seen.disparity) * unit;
+            let difference = (theirs - target.disparity) * unit;
             (difference.abs() <= same).then_some((disparity + difference, wx * wy * confidence))
         })
     }
@@ -152,7 +155,7 @@ impl Other<'_> {
 
 /// `[pixel][1 + others]`: the nearest disparity that the frame itself and each of the others
 /// measured at a pixel of frame `i`; 0 for none.
-fn seen(
+fn disparities_at(
     cameras: &[Camera],
     measured: &[DepthMap],
     others: &[usize],
@@ -196,8 +199,12 @@ mod tests {
     fn fused(wrong: impl Fn(usize, usize) -> f32) -> (Vec<f32>, Vec<f32>) {
         let (w, h) = (60, 8);
         let (shots, cameras) = Shot::of_wall(7, (w, h), 2.0);
-        let known = |d: f32| (d, f32::from(u8::from(d > 0.0)));
-        let measured = |i: usize| (0..w * h).map(|p| known(2.0 * wrong(i, p % w))).collect();
+        let measurement = |d: f32| (d, f32::from(u8::from(d > 0.0)));
+        let measured = |i: usize| {
+            (0..w * h)
+                .map(|p| measurement(2.0 * wrong(i, p % w)))
+                .collect()
+        };
         let measured: Vec<DepthMap> = (0..7).map(measured).collect();
         let out = fuse(&shots, &cameras, &measured, &[1, 2, 4, 5], 3);
         let row = 4 * w + 20..4 * w + 40;

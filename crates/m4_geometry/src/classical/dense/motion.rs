@@ -70,12 +70,12 @@ pub(super) fn evidence(
     shots: &[Shot],
     flows: &[FlowPair],
     i: usize,
-    seen: &FrameDisparity<'_>,
+    frame_disparity: &FrameDisparity<'_>,
     smoother: &Smoother,
 ) -> Vec<f32> {
-    let (w, h) = (seen.frame.width, seen.frame.height);
+    let (w, h) = (frame_disparity.frame.width, frame_disparity.frame.height);
     let (mut value, mut weight) = (vec![-PRIOR; w * h], vec![PRIOR; w * h]);
-    let deviation: Vec<f32> = seen
+    let deviation: Vec<f32> = frame_disparity
         .confidence
         .iter()
         .map(|c| shots[i].range.step * (SURE_STEPS + UNSURE_STEPS * (1.0 - c)))
@@ -85,7 +85,7 @@ pub(super) fn evidence(
         cameras: &clues.cameras,
         flows,
         rate: clues.rate,
-        disparity: seen.disparity,
+        disparity: frame_disparity.disparity,
         deviation: &deviation,
     };
     for (p, verdict) in trajectories.verdicts(i) {
@@ -93,7 +93,7 @@ pub(super) fn evidence(
         weight[p] += verdict.weight;
     }
     for p in 0..w * h {
-        let agreement = AGREEMENT * seen.confidence[p] * seen.confidence[p];
+        let agreement = AGREEMENT * frame_disparity.confidence[p] * frame_disparity.confidence[p];
         value[p] -= agreement;
         weight[p] += agreement;
     }
@@ -101,7 +101,7 @@ pub(super) fn evidence(
         for ((v, w), e) in value
             .iter_mut()
             .zip(&mut weight)
-            .zip(difference_evidence(background, seen.frame))
+            .zip(difference_evidence(background, frame_disparity.frame))
         {
             (*v, *w) = (*v + e, *w + 1.0);
         }

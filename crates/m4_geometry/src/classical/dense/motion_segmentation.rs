@@ -67,11 +67,11 @@ impl Clip<'_> {
     pub fn segment_motion(
         &self,
         swept: Vec<Vec<f32>>,
-        given: Option<Masks>,
+        input_masks: Option<Masks>,
     ) -> Result<MotionSegmentation, DenseError> {
-        let given_masks = given.is_some();
-        let mut moving = match given {
-            Some(given) => given,
+        let given_masks = input_masks.is_some();
+        let mut moving = match input_masks {
+            Some(masks) => masks,
             None => self.moving(&swept)?,
         };
         let mut measured = self.measured(&swept, Some(&moving))?;
@@ -255,13 +255,20 @@ impl Clip<'_> {
         let measured = self.measured(swept, before)?;
         let filled = self.filled(&measured, before)?;
         let evidence = self.each("finding motion", |i| {
-            let seen = FrameDisparity {
+            let frame_disparity = FrameDisparity {
                 frame: &self.shots[i].frame,
                 disparity: &filled[i],
                 confidence: &measured[i].confidence,
             };
             let smoother = self.smoother(i);
-            motion::evidence(self.clues, self.shots, self.flows, i, &seen, &smoother)
+            motion::evidence(
+                self.clues,
+                self.shots,
+                self.flows,
+                i,
+                &frame_disparity,
+                &smoother,
+            )
         })?;
         drop(filled);
         let memory = self.clues.rate.exact(MEMORY_S).max(1.0) as f32;

@@ -185,10 +185,10 @@ mod tests {
             disparity: &disparity,
             moving: &moving,
         };
-        let found = clip.refined(&[vec![2, 4], vec![1, 5]], 3);
+        let actual = clip.refined(&[vec![2, 4], vec![1, 5]], 3);
         let inside =
             (0..w * h).filter(|p| (12..w - 12).contains(&(p % w)) && (4..h - 4).contains(&(p / w)));
-        let errors: Vec<f32> = inside.map(|p| (found[p] / truth - 1.0).abs()).collect();
+        let errors: Vec<f32> = inside.map(|p| (actual[p] / truth - 1.0).abs()).collect();
         let mean = errors.iter().sum::<f32>() / errors.len() as f32;
         assert!(mean < 0.002, "{mean} of 0.02 is left");
         // dynamic pixels stay as they are
@@ -224,12 +224,12 @@ mod tests {
                 disparity: &disparity,
                 moving: &moving,
             };
-            let found = clip.refined(&[vec![1], vec![1]], 0);
+            let actual = clip.refined(&[vec![1], vec![1]], 0);
             let beside = (0..w * h).filter(|p| {
                 (6..11).contains(&(p % w).abs_diff(32)) && (4..h - 4).contains(&(p / w))
             });
             beside
-                .map(|p| (found[p] / truth - 1.0).abs())
+                .map(|p| (actual[p] / truth - 1.0).abs())
                 .fold(0.0, f32::max)
         };
         let now = moved(&shots);

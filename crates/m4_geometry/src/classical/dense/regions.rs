@@ -159,15 +159,15 @@ mod tests {
         let (w, h) = (37, 23);
         let mut rng = CounterRng::new(3, 1, 4);
         let set: Vec<bool> = (0..w * h).map(|_| rng.below(12) > 0).collect();
-        let found = to_outside(w, h, |p| set[p]);
+        let actual = to_outside(w, h, |p| set[p]);
         let outside: Vec<usize> = (0..w * h).filter(|&p| !set[p]).collect();
         let mut largest = 0.0f32;
         for p in 0..w * h {
             let squared =
                 |q: usize| (p % w).abs_diff(q % w).pow(2) + (p / w).abs_diff(q / w).pow(2);
             let least = outside.iter().map(|&q| squared(q)).min().unwrap();
-            assert_eq!(found[p], (least as f32).sqrt(), "pixel {p}");
-            largest = largest.max(found[p]);
+            assert_eq!(actual[p], (least as f32).sqrt(), "pixel {p}");
+            largest = largest.max(actual[p]);
         }
         assert!(largest > 3.0, "{largest}");
     }

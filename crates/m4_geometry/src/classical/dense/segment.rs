@@ -174,19 +174,19 @@ pub(super) fn sharpen(
         .collect();
     let of = |k: usize| prompt(width, height, |p| parts.label[p] as usize == k + 1);
     let prompts: Vec<_> = large.iter().map(|&k| of(k)).collect();
-    let found = asked(segmenter, image, size, &prompts)?;
-    let taken: Vec<(usize, &SegmentMask)> = large
+    let answers = asked(segmenter, image, size, &prompts)?;
+    let masks: Vec<(usize, &SegmentMask)> = large
         .into_iter()
-        .zip(&found)
+        .zip(&answers)
         .filter(|(k, mask)| means_the_same(mask, &parts.pixels[*k]))
         .collect();
     let mut out = coarse.to_vec();
-    for &(k, _) in &taken {
+    for &(k, _) in &masks {
         for &p in &parts.pixels[k] {
             out[p as usize] = 0;
         }
     }
-    for (_, mask) in taken {
+    for (_, mask) in masks {
         for (out, &logit) in out.iter_mut().zip(&mask.logits) {
             if logit > 0.0 {
                 *out = 255;
@@ -220,16 +220,16 @@ mod tests {
         let (w, h) = (40, 30);
         // A bar of 24 x 6 pixels.
         let part = |p: usize| (8..32).contains(&(p % w)) && (10..16).contains(&(p / w));
-        let found = prompt(w, h, part);
-        assert_eq!(found.box_px, [8.5, 10.5, 31.5, 15.5]);
-        assert_eq!(found.points_px.len(), POINTS);
-        for (i, &[x, y]) in found.points_px.iter().enumerate() {
+        let prompt = prompt(w, h, part);
+        assert_eq!(prompt.box_px, [8.5, 10.5, 31.5, 15.5]);
+        assert_eq!(prompt.points_px.len(), POINTS);
+        for (i, &[x, y]) in prompt.points_px.iter().enumerate() {
             assert!(part(y as usize * w + x as usize), "{x} {y}");
-            for &[ox, oy] in &found.points_px[..i] {
+            for &[ox, oy] in &prompt.points_px[..i] {
                 assert!((x - ox).hypot(y - oy) > 4.0, "{x} {y} {ox} {oy}");
             }
         }
-        let at = |x: usize, y: usize| found.belief[y * w + x];
+        let at = |x: usize, y: usize| prompt.belief[y * w + x];
         assert_eq!(
             (at(8, 12), at(7, 12)),
             (0.5 * BELIEF_PER_PX, -0.5 * BELIEF_PER_PX)
@@ -315,13 +315,13 @@ mod tests {
 
     #[test]
     fn fitting_masks_are_taken_and_others_ignored() {
-        let found = sharpen(&colours, &image(8, 90), SIZE, &coarse()).unwrap();
-        assert!(found == with_others(GOOD) && found != coarse());
+        let actual = sharpen(&colours, &image(8, 90), SIZE, &coarse()).unwrap();
+        assert!(actual == with_others(GOOD) && actual != coarse());
     }
 
     /// Whether `sharpen` takes the mask of the thing at `at` for a coarse mask that does not hold
     /// it.
-    fn taken(image: &RgbImage, coarse: &[u8], at: (usize, usize)) -> bool {
+    fn takes_mask(image: &RgbImage, coarse: &[u8], at: (usize, usize)) -> bool {
         let p = at.1 * SIZE.0 + at.0;
         assert_eq!(coarse[p], 0);
         sharpen(&colours, image, SIZE, coarse).unwrap()[p] > 0
@@ -360,7 +360,7 @@ mod tests {
             ("81 pixels", &image(5, 90), shifted(1, 5), (x - 5, y), true),
             ("49 pixels", &image(4, 90), shifted(1, 4), (x - 4, y), false),
         ] {
-            assert_eq!(taken(image, &coarse, at), wanted, "{what}");
+            assert_eq!(takes_mask(image, &coarse, at), wanted, "{what}");
         }
     }
 }

@@ -404,12 +404,12 @@ mod tests {
         let b = camera(Vector6::new(-0.2, 0.3, 0.1, -0.1, 0.02, 0.2));
         let (x, y, z) = (20.0, 31.0, 2.5);
         let ([u, v], depth) = b.project(&a.unproject(x, y, z));
-        let seen = Pair::new(&a, &b).project(x as f32, y as f32, (1.0 / z) as f32);
+        let target = Pair::new(&a, &b).project(x as f32, y as f32, (1.0 / z) as f32);
         assert!(
-            (f64::from(seen.x) - u).abs() < 1e-3 && (f64::from(seen.y) - v).abs() < 1e-3,
-            "{seen:?} {u} {v}"
+            (f64::from(target.x) - u).abs() < 1e-3 && (f64::from(target.y) - v).abs() < 1e-3,
+            "{target:?} {u} {v}"
         );
-        assert!((1.0 / f64::from(seen.disparity) - depth).abs() < 1e-4);
+        assert!((1.0 / f64::from(target.disparity) - depth).abs() < 1e-4);
     }
 
     #[test]

@@ -68,14 +68,15 @@ pub(super) fn measure(
         let d = swept[i][p];
         let (mut sum, mut agree) = (d, 0usize);
         for (j, pair) in &shot.partners {
-            let seen = pair.project((p % w) as f32, (p / w) as f32, d);
-            let Some(q) = pixel_at(w, h, seen.x, seen.y).filter(|_| seen.disparity > 0.0) else {
+            let target = pair.project((p % w) as f32, (p / w) as f32, d);
+            let Some(q) = pixel_at(w, h, target.x, target.y).filter(|_| target.disparity > 0.0)
+            else {
                 continue;
             };
-            let difference = swept[*j][q] - seen.disparity;
+            let difference = swept[*j][q] - target.disparity;
             let tolerance = AGREE_STEPS * shots[*j].range.step;
             if difference.abs() <= tolerance && moving.is_none_or(|m| m[*j][q] == 0) {
-                sum += d + difference * d / seen.disparity;
+                sum += d + difference * d / target.disparity;
                 agree += 1;
             }
         }
@@ -92,14 +93,14 @@ pub(super) fn measure(
 /// chance agreement.
 fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
     let (disparity, confidence) = (&measured.disparity, &mut measured.confidence);
-    let mut seen = vec![false; width * height];
+    let mut visited = vec![false; width * height];
     let (mut open, mut patch) = (Vec::new(), Vec::new());
     for seed in 0..width * height {
-        if seen[seed] || confidence[seed] == 0.0 {
+        if visited[seed] || confidence[seed] == 0.0 {
             continue;
         }
         patch.clear();
-        seen[seed] = true;
+        visited[seed] = true;
         open.push(seed);
         while let Some(i) = open.pop() {
             patch.push(i);
@@ -111,8 +112,9 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
                 (y + 1 < height).then_some(i + width),
             ];
             for n in neighbours.into_iter().flatten() {
-                if !seen[n] && confidence[n] > 0.0 && (disparity[n] - disparity[i]).abs() <= step {
-                    seen[n] = true;
+                if !visited[n] && confidence[n] > 0.0 && (disparity[n] - disparity[i]).abs() <= step
+                {
+                    visited[n] = true;
                     open.push(n);
                 }
             }

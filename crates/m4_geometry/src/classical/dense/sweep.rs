@@ -144,11 +144,11 @@ fn fill<const N: usize>(
 #[inline(always)]
 fn better_half<const N: usize>(costs: [u8; N]) -> u8 {
     // the three least, in order
-    let (mut a, mut b, mut c, mut seen) = (u8::MAX, u8::MAX, u8::MAX, 0u8);
+    let (mut a, mut b, mut c, mut count) = (u8::MAX, u8::MAX, u8::MAX, 0u8);
     for cost in costs {
         let (not_a, not_b) = (a.max(cost), b.max(a.max(cost)));
         (a, b, c) = (a.min(cost), b.min(not_a), c.min(not_b));
-        seen += u8::from(cost != u8::MAX);
+        count += u8::from(cost != u8::MAX);
     }
     let [one, two, three] = [
         u16::from(a),
@@ -156,9 +156,9 @@ fn better_half<const N: usize>(costs: [u8; N]) -> u8 {
         u16::from(a) + u16::from(b) + u16::from(c),
     ];
     // the half of 1 or 2, of 3 or 4, of 5 or 6 partners
-    let mean = if seen <= 2 { 2 * one } else { two };
-    let mean = if seen <= 4 { mean } else { 2 * three / 3 };
-    if seen == 0 { UNKNOWN } else { mean as u8 }
+    let mean = if count <= 2 { 2 * one } else { two };
+    let mean = if count <= 4 { mean } else { 2 * three / 3 };
+    if count == 0 { UNKNOWN } else { mean as u8 }
 }
 
 /// Penalty of a disparity step of one between neighbours, census bits (Hirschmueller 2008, P1).
@@ -357,7 +357,7 @@ mod tests {
         disparity: f32,
     ) -> u8 {
         let [w, h] = size;
-        let mut seen: Vec<u32> = partners
+        let mut costs: Vec<u32> = partners
             .iter()
             .filter_map(|partner| {
                 let p = partner.pair.project(at[0] as f32, at[1] as f32, disparity);
@@ -370,12 +370,12 @@ mod tests {
                 })
             })
             .collect();
-        seen.sort_unstable();
-        let half = seen.len().div_ceil(2);
+        costs.sort_unstable();
+        let half = costs.len().div_ceil(2);
         if half == 0 {
             UNKNOWN
         } else {
-            (2 * seen[..half].iter().sum::<u32>() / half as u32) as u8
+            (2 * costs[..half].iter().sum::<u32>() / half as u32) as u8
         }
     }
 
@@ -412,7 +412,7 @@ mod tests {
         let mut unknown = 0;
         for n in 0..=MAX_PARTNERS {
             let volume = cost_volume(w, h, &own, &partners[..n], &range);
-            for (i, &found) in volume.iter().enumerate() {
+            for (i, &actual) in volume.iter().enumerate() {
                 let (k, p) = (i % range.count, i / range.count);
                 let wanted = cost(
                     [w, h],
@@ -421,8 +421,8 @@ mod tests {
                     [p % w, p / w],
                     range.at(k as f32),
                 );
-                assert_eq!(found, wanted, "{n} partners, pixel {p}, disparity {k}");
-                unknown += usize::from(n == MAX_PARTNERS && found == UNKNOWN);
+                assert_eq!(actual, wanted, "{n} partners, pixel {p}, disparity {k}");
+                unknown += usize::from(n == MAX_PARTNERS && actual == UNKNOWN);
             }
         }
         assert!(unknown < w * h * range.count / 2, "{unknown}");

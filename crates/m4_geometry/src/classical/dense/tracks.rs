@@ -104,7 +104,7 @@ mod tests {
     }
 
     /// A square of side 0.7, its disparity off by `noise` of itself, a factor per frame.
-    fn made(noise: f64) -> ClipData {
+    fn clip_data(noise: f64) -> ClipData {
         let mut rng = CounterRng::new(7, 1, 0);
         let mut cameras = Vec::new();
         let (mut moving, mut disparity) = (Vec::new(), Vec::new());
@@ -174,69 +174,74 @@ mod tests {
 
     #[test]
     fn a_square_that_flies_is_followed_with_its_velocity() {
-        let found = chains(&made(0.0));
-        assert!(found.count() > 40, "{}", found.count());
-        let errors = errors(&found);
+        let tracks = chains(&clip_data(0.0));
+        assert!(tracks.count() > 40, "{}", tracks.count());
+        let errors = errors(&tracks);
         assert!(errors.len() > 400, "{}", errors.len());
         assert!(errors[errors.len() - 1] < 0.01, "{:?}", errors.last());
         // on the surface, in the world
-        for (t, k) in (0..FRAMES).flat_map(|t| (0..found.count()).map(move |k| (t, k))) {
+        for (t, k) in (0..FRAMES).flat_map(|t| (0..tracks.count()).map(move |k| (t, k))) {
             assert!(
-                found
+                tracks
                     .place(t, k)
                     .is_none_or(|p| (f64::from(p[2]) - depth(t)).abs() < 1e-3)
             );
         }
-        assert_eq!(found.frames(), FRAMES);
+        assert_eq!(tracks.frames(), FRAMES);
     }
 
     #[test]
     fn depth_that_trembles_is_smoothed_along_the_track() {
         // The depth of one frame is off by up to half of what the square moves; without smoothing,
         // so are its steps by more than 0.1.
-        let errors = errors(&chains(&made(0.01)));
+        let errors = errors(&chains(&clip_data(0.01)));
         let smooth = errors[errors.len() / 2];
         assert!(smooth < 0.08, "{smooth}");
     }
 
-    /// Tracks that are known in all of `frames`.
-    fn known(tracks: &Tracks, frames: &[usize]) -> usize {
-        let known = |k: &usize| frames.iter().all(|&t| tracks.place(t, *k).is_some());
-        (0..tracks.count()).filter(known).count()
+    /// The number of tracks that have a place in all of `frames`.
+    fn count_complete(tracks: &Tracks, frames: &[usize]) -> usize {
+        let is_complete = |k: &usize| frames.iter().all(|&t| tracks.place(t, *k).is_some());
+        (0..tracks.count()).filter(is_complete).count()
     }
 
     #[test]
     fn chains_end_where_flow_does_not_lead_back_at_a_jump_of_depth_and_outside_the_mask() {
-        let mut cut = made(0.0);
+        let mut cut = clip_data(0.0);
         cut.flows[7].forward_round_trip.fill(f32::INFINITY);
         cut.flows[7].backward_round_trip.fill(f32::INFINITY);
-        let mut jumping = made(0.0);
+        let mut jumping = clip_data(0.0);
         jumping.disparity[8..]
             .iter_mut()
             .flatten()
             .for_each(|d| *d *= 0.7);
         for (what, clip) in [("flow", cut), ("depth", jumping)] {
-            let found = chains(&clip);
-            assert_eq!(known(&found, &[7, 8]), 0, "{what}");
-            assert!(known(&found, &[7]) > 0 && known(&found, &[8]) > 0, "{what}");
-            let errors = errors(&found);
+            let tracks = chains(&clip);
+            assert_eq!(count_complete(&tracks, &[7, 8]), 0, "{what}");
+            assert!(
+                count_complete(&tracks, &[7]) > 0 && count_complete(&tracks, &[8]) > 0,
+                "{what}"
+            );
+            let errors = errors(&tracks);
             assert!(
                 errors[errors.len() / 2] < 0.5,
                 "{what}: the parts before and after move on as before"
             );
         }
-        let mut masked = made(0.0);
+        let mut masked = clip_data(0.0);
         masked.moving[5..9]
             .iter_mut()
             .flatten()
             .for_each(|m| *m = 0);
-        let found = chains(&masked);
-        assert!((5..9).all(|t| known(&found, &[t]) == 0) && known(&found, &[9]) > 0);
+        let tracks = chains(&masked);
+        assert!(
+            (5..9).all(|t| count_complete(&tracks, &[t]) == 0) && count_complete(&tracks, &[9]) > 0
+        );
     }
 
     #[test]
     fn empty_masks_have_no_tracks_and_dense_ones_are_thinned() {
-        let mut still = made(0.0);
+        let mut still = clip_data(0.0);
         still.moving.iter_mut().for_each(|m| m.fill(0));
         let grid = QueryGrid {
             most: 10,
@@ -244,7 +249,7 @@ mod tests {
         };
         let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &Silent).unwrap();
         assert_eq!(few(&still.clip()), None);
-        let mut clip = made(0.0);
+        let mut clip = clip_data(0.0);
         assert_eq!(few(&clip.clip()).unwrap().count(), 10);
         clip.flows.clear();
         assert_eq!(few(&clip.clip()), None, "no flow, nothing to follow");

@@ -205,24 +205,25 @@ impl Trajectories<'_> {
 
     /// Adds the places in frame `j` that the pixels of frame `i` were followed to.
     fn add_places(&self, i: usize, j: usize, grid: &Grid, places: &[Place], sums: &mut [Sums]) {
-        let there = &self.shots[j].frame;
+        let target = &self.shots[j].frame;
         let pair = Pair::new(&self.cameras[i], &self.cameras[j]);
         let fixed: Vec<(Reprojected, [f32; 2])> = grid
             .pixels
             .iter()
             .map(|&p| {
                 pair.project_with_slope(
-                    (p % there.width) as f32,
-                    (p / there.width) as f32,
+                    (p % target.width) as f32,
+                    (p / target.width) as f32,
                     self.disparity[p],
                 )
             })
             .collect();
-        let static_difference = grid.difference(there, fixed.iter().map(|(at, _)| [at.x, at.y]));
-        let flow_difference = grid.difference(there, places.iter().map(|place| [place.x, place.y]));
+        let static_difference = grid.difference(target, fixed.iter().map(|(at, _)| [at.x, at.y]));
+        let flow_difference =
+            grid.difference(target, places.iter().map(|place| [place.x, place.y]));
         let residual = |(place, (at, _)): (&Place, &(Reprojected, [f32; 2]))| {
-            let known = place.variance.is_finite() && at.disparity > 0.0;
-            known.then_some([place.x - at.x, place.y - at.y])
+            let is_known = place.variance.is_finite() && at.disparity > 0.0;
+            is_known.then_some([place.x - at.x, place.y - at.y])
         };
         // most of a frame is static, so what half of it exceeds is an error of the cameras
         let residuals: Vec<Option<[f32; 2]>> = places.iter().zip(&fixed).map(residual).collect();
@@ -244,8 +245,8 @@ impl Trajectories<'_> {
             let refuted = refuted.clamp(LEAST_REFUTED, 1.0);
             let precision = refuted / (variance + camera_variance);
             let square = (residual[0] * residual[0] + residual[1] * residual[1]) * precision;
-            let kept = (MOST_OFF * refuted * refuted / square).sqrt().min(1.0);
-            sums.add(residual.map(|r| kept * r), fixed[p].1, time_s, precision);
+            let share = (MOST_OFF * refuted * refuted / square).sqrt().min(1.0);
+            sums.add(residual.map(|r| share * r), fixed[p].1, time_s, precision);
             sums.weight += 1.0 / (1.0 + variance);
         }
     }
@@ -324,13 +325,13 @@ impl Grid {
 
     /// How much places in another frame differ in brightness from the pixels here, 0..255; a shadow
     /// on one of them is all but free.
-    fn difference(&self, there: &ScaledFrame, places: impl Iterator<Item = [f32; 2]>) -> Vec<f32> {
+    fn difference(&self, target: &ScaledFrame, places: impl Iterator<Item = [f32; 2]>) -> Vec<f32> {
         let blurred = |mut values: Vec<f32>| {
             box_blur::<PATCH>(self.columns, self.rows, &mut values);
             values
         };
         let other: Vec<f32> = places
-            .map(|[x, y]| bilinear(there.width, there.height, &there.grey, x, y))
+            .map(|[x, y]| bilinear(target.width, target.height, &target.grey, x, y))
             .collect();
         let means = self.mean.iter().zip(blurred(other.clone()));
         let light: Vec<f32> = means

@@ -246,8 +246,9 @@ pub(super) fn observed(
         inside.then(|| y as usize * width + x as usize)
     };
     sparse.tracks.iter().flat_map(move |track| {
-        let seen = (track.first_frame..).zip(&track.observations);
-        seen.filter_map(move |(frame, seen)| Some((frame, pixel(frame, seen)?, track)))
+        let observations = (track.first_frame..).zip(&track.observations);
+        observations
+            .filter_map(move |(frame, position)| Some((frame, pixel(frame, position)?, track)))
     })
 }
 

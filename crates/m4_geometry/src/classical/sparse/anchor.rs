@@ -169,7 +169,7 @@ mod tests {
     use m4_core::nalgebra::{Matrix2, Vector2};
 
     /// Smooth bumps, seen through `x -> linear (x - centre) + at`, at doubled resolution.
-    fn seen(warp: &Warp) -> Plane<f32> {
+    fn view_through(warp: &Warp) -> Plane<f32> {
         let back = warp.linear.try_inverse().expect("invertible");
         doubled(&Plane::from_fn(96, 72, |x, y| {
             let p = back * Vector2::new(x as f32 - warp.at[0], y as f32 - warp.at[1]);
@@ -188,7 +188,7 @@ mod tests {
             linear: Matrix2::identity(),
             at: CENTRE,
         };
-        let anchor = Anchor::new(&seen(&first), CENTRE).expect("texture");
+        let anchor = Anchor::new(&view_through(&first), CENTRE).expect("texture");
         // A quarter larger and turned by 14 degrees at the end, with unequal sides.
         let mut warp = first;
         for step in 1..=20 {
@@ -197,23 +197,23 @@ mod tests {
                 linear: Matrix2::new(1.0 + 0.01 * t, -0.015 * t, 0.015 * t, 1.0 + 0.008 * t),
                 at: [CENTRE[0] + 0.4 * t, CENTRE[1] - 0.3 * t],
             };
-            let (found, likeness) = anchor.align(
-                &seen(&truth),
+            let (estimate, likeness) = anchor.align(
+                &view_through(&truth),
                 Warp {
                     at: [warp.at[0] + 0.6, warp.at[1] - 0.1],
                     ..warp
                 },
             );
-            let off = (found.at[0] - truth.at[0]).hypot(found.at[1] - truth.at[1]);
+            let off = (estimate.at[0] - truth.at[0]).hypot(estimate.at[1] - truth.at[1]);
             assert!(
                 off < 0.04 && likeness > 0.99,
                 "step {step}: {off} px, {likeness}"
             );
             assert!(
-                (found.linear - truth.linear).amax() < 0.02,
-                "{found:?} {truth:?}"
+                (estimate.linear - truth.linear).amax() < 0.02,
+                "{estimate:?} {truth:?}"
             );
-            warp = found;
+            warp = estimate;
         }
     }
 
@@ -235,9 +235,9 @@ mod tests {
         };
         let anchor = Anchor::new(&fine(0.0), CENTRE).expect("texture");
         for shift in [0.1, 0.25, 0.4, 0.6, 0.8] {
-            let (found, _) = anchor.align(&fine(shift), first);
-            let off =
-                (found.at[0] - CENTRE[0] - shift).hypot(found.at[1] - CENTRE[1] + 0.5 * shift);
+            let (estimate, _) = anchor.align(&fine(shift), first);
+            let off = (estimate.at[0] - CENTRE[0] - shift)
+                .hypot(estimate.at[1] - CENTRE[1] + 0.5 * shift);
             assert!(off < 0.01, "shift {shift}: {off} px");
         }
     }
@@ -248,7 +248,7 @@ mod tests {
             linear: Matrix2::identity(),
             at: CENTRE,
         };
-        let anchor = Anchor::new(&seen(&first), CENTRE).expect("texture");
+        let anchor = Anchor::new(&view_through(&first), CENTRE).expect("texture");
         let other = Plane::from_fn(96, 72, |x, y| ((x * 7919 + y * 104_729) % 251) as f32);
         assert!(anchor.align(&doubled(&other), first).1 < 0.7);
         let (_, likeness) = anchor.align(&doubled(&Plane::filled(96, 72, 90.0)), first);

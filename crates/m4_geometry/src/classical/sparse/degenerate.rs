@@ -67,9 +67,9 @@ fn rotations(tracks: &[RawTrack], frames: usize, focal: f64, cauchy_px: f64) -> 
     let mut rotations = vec![Matrix3::identity(); frames];
     let mut lost = 0;
     for frame in 1..frames {
-        let found = matches(tracks, frame - 1, frame);
-        let step = if found.len() >= MIN_TRACKS {
-            turn(&found, focal)
+        let matches = matches(tracks, frame - 1, frame);
+        let step = if matches.len() >= MIN_TRACKS {
+            turn(&matches, focal)
         } else {
             None
         };
@@ -143,7 +143,7 @@ const AS_GOOD: (f64, f64) = (2.0, 0.05);
 /// A zoom that explains the tracks, and the tracks as a lens that does not zoom would have seen
 /// them.
 pub(super) struct Zoom {
-    found: Zooming,
+    zooming: Zooming,
     map: Map,
     tracks: Vec<RawTrack>,
     median_px: f64,
@@ -153,18 +153,19 @@ impl Zoom {
     /// Whether a camera that moves instead, with a lens that does not, explains nothing more.
     pub fn explains_as_much_as(&self, moving: Option<&Recovered>, scale: f64) -> bool {
         let Some(moving) = moving else { return true };
-        let here = classify(&self.map, &self.tracks)
+        let n_own_static = classify(&self.map, &self.tracks)
             .iter()
             .filter(|m| **m == Motion::Static)
             .count();
-        let there = moving
+        let n_other_static = moving
             .sparse
             .tracks
             .iter()
             .filter(|t| t.motion == Motion::Static)
             .count();
         let median_px = AS_GOOD.0 * moving.sparse.residual_px * scale + AS_GOOD.1;
-        here as f64 >= AS_MANY * there as f64 && self.median_px <= median_px.min(MOST_PX)
+        n_own_static as f64 >= AS_MANY * n_other_static as f64
+            && self.median_px <= median_px.min(MOST_PX)
     }
 }
 
@@ -183,10 +184,10 @@ impl Clip<'_> {
     pub(super) fn zoom(&self, focals: &[f64]) -> Result<Option<Zoom>, SparseError> {
         stopped(self.progress)?;
         let (assumed, cauchy_px) = (self.default_focal(), self.limits.cauchy_px);
-        let Some(found) = zooming(&self.tracks, self.frames, focals, assumed, cauchy_px) else {
+        let Some(zooming) = zooming(&self.tracks, self.frames, focals, assumed, cauchy_px) else {
             return Ok(None);
         };
-        let (least, most) = range(&found.aims);
+        let (least, most) = range(&zooming.aims);
         let focal = (least * most).sqrt();
         let pose = |aim: &Aim| Se3 {
             rotation: exp_so3(&log_so3(&aim.rotation)),
@@ -194,13 +195,13 @@ impl Clip<'_> {
         };
         let map = Map::new(
             focal,
-            found.aims.iter().map(|aim| Some(pose(aim))).collect(),
+            zooming.aims.iter().map(|aim| Some(pose(aim))).collect(),
             &self.tracks,
         );
-        let tracks = through(&self.tracks, &found.aims, focal);
+        let tracks = through(&self.tracks, &zooming.aims, focal);
         let median_px = median_far_error(&map, &tracks).unwrap_or(f64::INFINITY);
         Ok(Some(Zoom {
-            found,
+            zooming,
             map,
             tracks,
             median_px,
@@ -210,12 +211,12 @@ impl Clip<'_> {
     /// A rotation and intrinsics per frame.
     pub(super) fn zoomed(&mut self, zoom: Zoom) -> Recovered {
         let Zoom {
-            found,
+            zooming,
             map,
             tracks,
             median_px,
         } = zoom;
-        let first = found.aims[0].focal;
+        let first = zooming.aims[0].focal;
         let base = self.lenses.of(0);
         let base = base.unwrap_or_else(|| {
             Intrinsics::centred(self.width, self.height, first / self.size.scale)
@@ -225,21 +226,21 @@ impl Clip<'_> {
             fy: base.fy * aim.focal / first,
             ..base
         };
-        self.masked = through(&self.masked, &found.aims, map.focal);
+        self.masked = through(&self.masked, &zooming.aims, map.focal);
         self.tracks = tracks;
-        self.lenses = Lenses(found.aims.iter().map(lens).collect());
-        let note = self.focal_note(found.focal_observed);
-        let (least, most) = range(&found.aims);
+        self.lenses = Lenses(zooming.aims.iter().map(lens).collect());
+        let note = self.focal_note(zooming.focal_observed);
+        let (least, most) = range(&zooming.aims);
         self.warn(format!(
             "the lens zooms (its field of view goes from {:.0} to {:.0} degrees, between {:.0} and {:.0}) and the camera does \
              not move, or moves straight towards a flat surface, which looks the same: a rotation and a focal length per frame \
              explain the tracks to {median_px:.2} px (working size); depth cannot be measured: film without zoom while \
              walking sideways{note}",
             self.fov_deg(first),
-            self.fov_deg(found.aims[self.frames - 1].focal),
+            self.fov_deg(zooming.aims[self.frames - 1].focal),
             self.fov_deg(most),
             self.fov_deg(least),
         ));
-        self.without_points(map, CameraMotion::RotationOnly, found.focal_observed)
+        self.without_points(map, CameraMotion::RotationOnly, zooming.focal_observed)
     }
 }

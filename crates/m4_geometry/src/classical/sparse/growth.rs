@@ -124,12 +124,12 @@ impl Clip<'_> {
         let mut pairs: Vec<Pair> = all
             .par_iter()
             .filter_map(|&(a, b)| {
-                let found = matches(&self.tracks, a, b);
-                let parallax_px = turn(&found, focal)?.parallax_px;
-                (found.len() >= MIN_MATCHES).then_some(Pair {
+                let matches = matches(&self.tracks, a, b);
+                let parallax_px = turn(&matches, focal)?.parallax_px;
+                (matches.len() >= MIN_MATCHES).then_some(Pair {
                     a,
                     b,
-                    matches: found.len(),
+                    matches: matches.len(),
                     parallax_px,
                 })
             })
@@ -166,7 +166,7 @@ impl Clip<'_> {
             let views: Vec<Option<TwoView>> = picked
                 .par_iter()
                 .enumerate()
-                .map(|(i, (_, found))| relate(found, focal, self.config.seed, i as u64))
+                .map(|(i, (_, matches))| relate(matches, focal, self.config.seed, i as u64))
                 .collect();
             let score =
                 views.iter().flatten().map(|v| v.score).sum::<f64>() / picked.len().max(1) as f64;

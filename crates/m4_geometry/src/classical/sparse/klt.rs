@@ -162,16 +162,16 @@ pub(crate) fn follow(from: &Pyramid, to: &Pyramid, p: [f32; 2]) -> Option<([f32;
             }
             None => return None,
         };
-        let (found, c) = template.align(&to.levels[level], [at[0] + offset[0], at[1] + offset[1]]);
+        let (place, c) = template.align(&to.levels[level], [at[0] + offset[0], at[1] + offset[1]]);
         correlation = c;
-        offset = [found[0] - at[0], found[1] - at[1]];
+        offset = [place[0] - at[0], place[1] - at[1]];
         if level > 0 {
             offset = [2.0 * offset[0], 2.0 * offset[1]];
         }
     }
-    let found = [p[0] + offset[0], p[1] + offset[1]];
-    (found[0].is_finite() && found[1].is_finite() && inside(&to.levels[0], found))
-        .then_some((found, correlation))
+    let place = [p[0] + offset[0], p[1] + offset[1]];
+    (place[0].is_finite() && place[1].is_finite() && inside(&to.levels[0], place))
+        .then_some((place, correlation))
 }
 
 #[cfg(test)]

@@ -36,8 +36,8 @@ impl Map {
 
     /// Sightings of known points in `frame`.
     pub fn sightings(&self, tracks: &[RawTrack], frame: usize) -> Vec<Sighting> {
-        let known = tracks.iter().zip(&self.points);
-        known
+        let pairs = tracks.iter().zip(&self.points);
+        pairs
             .filter_map(|(t, x)| Some(((*x)?, t.at(frame)?)))
             .collect()
     }
@@ -58,11 +58,11 @@ impl Map {
     pub fn triangulate(&mut self, tracks: &[RawTrack], motions: &[Motion], limits: &Limits) {
         let point = |(i, track)| {
             let usable = motions.get(i) != Some(&Motion::Dynamic);
-            let found =
+            let triangulation =
                 usable.then(|| triangulate(&self.views(track), self.focal, limits.cauchy_px))??;
-            let good = found.angle_rad >= limits.min_angle_deg.to_radians()
-                && found.median_px <= INLIER_PX;
-            good.then_some(found.point)
+            let good = triangulation.angle_rad >= limits.min_angle_deg.to_radians()
+                && triangulation.median_px <= INLIER_PX;
+            good.then_some(triangulation.point)
         };
         self.points = tracks.par_iter().enumerate().map(point).collect();
     }
@@ -71,12 +71,12 @@ impl Map {
     /// few points agree.
     pub fn register(&mut self, tracks: &[RawTrack], frame: usize) -> bool {
         let sightings = self.sightings(tracks, frame);
-        let found = self
+        let candidates = self
             .starts(frame)
             .into_iter()
             .map(|start| resect(&sightings, self.focal, &start));
         // The first of those with most inliers.
-        let best = found.reduce(|best, other| if other.1 > best.1 { other } else { best });
+        let best = candidates.reduce(|best, other| if other.1 > best.1 { other } else { best });
         let pose = best
             .filter(|&(_, n)| n >= MIN_SIGHTINGS && 3 * n >= sightings.len())
             .map(|(pose, _)| pose);
@@ -257,8 +257,8 @@ impl Map {
     }
 
     fn all_errors(&self, tracks: &[RawTrack]) -> impl Iterator<Item = f64> {
-        let known = tracks.iter().zip(&self.points);
-        known
+        let pairs = tracks.iter().zip(&self.points);
+        pairs
             .filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?)))
             .flatten()
     }
@@ -329,11 +329,11 @@ pub(crate) fn classify(map: &Map, tracks: &[RawTrack]) -> Vec<Motion> {
         .par_iter()
         .map(|track| {
             let errors = resting_errors(map, track, limit);
-            let seen = errors.len();
+            let count = errors.len();
             let disagree = errors.iter().filter(|e| **e > limit).count();
-            if seen < MIN_OBSERVATIONS {
+            if count < MIN_OBSERVATIONS {
                 Motion::Unknown
-            } else if disagree as f64 >= SHARE * seen as f64 {
+            } else if disagree as f64 >= SHARE * count as f64 {
                 Motion::Dynamic
             } else {
                 Motion::Static

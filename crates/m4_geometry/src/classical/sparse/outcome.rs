@@ -92,9 +92,10 @@ impl Clip<'_> {
     pub(super) fn hand_out(&self, map: &Map, motions: &[Motion]) -> (Vec<Track>, f64) {
         let scale = self.size.scale;
         let mut residuals = Vec::new();
-        let seen = |raw: &RawTrack| {
-            let seen = (raw.first..).zip(&raw.seen);
-            seen.map(|(frame, &p)| self.lenses.input_px(frame, p, self.size, map.focal))
+        let observations = |raw: &RawTrack| {
+            let positions = (raw.first..).zip(&raw.seen);
+            positions
+                .map(|(frame, &p)| self.lenses.input_px(frame, p, self.size, map.focal))
                 .collect()
         };
         let judged = self.tracks.iter().zip(&map.points).zip(motions);
@@ -105,7 +106,7 @@ impl Clip<'_> {
             let residual_px = median(&mut errors).unwrap_or(0.0) / scale;
             Track {
                 first_frame: raw.first,
-                observations: seen(raw),
+                observations: observations(raw),
                 motion,
                 point,
                 residual_px,
@@ -114,7 +115,7 @@ impl Clip<'_> {
         let mut tracks: Vec<Track> = judged.collect();
         tracks.extend(self.masked.iter().map(|raw| Track {
             first_frame: raw.first,
-            observations: seen(raw),
+            observations: observations(raw),
             motion: Motion::Dynamic,
             point: None,
             residual_px: 0.0,

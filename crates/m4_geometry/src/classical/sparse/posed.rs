@@ -157,14 +157,18 @@ impl Clip<'_> {
         };
         let mut free = Clip::new(features, None, Lenses(Vec::new()), &config, self.progress);
         free.quiet = true;
-        let found = match free.solve() {
-            Ok(found) if found.sparse.camera_motion == CameraMotion::Parallax => found.sparse,
+        let suggestion = match free.solve() {
+            Ok(result) if result.sparse.camera_motion == CameraMotion::Parallax => result.sparse,
             Err(SparseError::Cancelled) => return Err(SparseError::Cancelled),
             // The clip suggests nothing.
             _ => return Ok(()),
         };
-        let better = found.tracks.iter().filter(|t| t.point.is_some()).count();
-        let (way, turn_rad) = apart(&found.cameras, cameras);
+        let better = suggestion
+            .tracks
+            .iter()
+            .filter(|t| t.point.is_some())
+            .count();
+        let (way, turn_rad) = apart(&suggestion.cameras, cameras);
         if better >= TIMES * points && (way > SAME_WAY || turn_rad > SAME_RAD) {
             return Err(SparseError::NoAgreement(format!(
                 "the given poses contradict the images: {points} of {judged} tracks agree with them on a static scene, {better} \

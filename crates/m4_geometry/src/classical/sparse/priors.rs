@@ -49,9 +49,9 @@ pub(super) fn part(
         w > 0 && h > 0 && mask[(cell(x, w), cell(y, h))] > 0
     };
     tracks.into_iter().partition(|track| {
-        let seen = (track.first..).zip(&track.seen);
-        let inside =
-            seen.filter(|(frame, at)| masks.get(*frame).is_some_and(|mask| covered(mask, **at)));
+        let observations = (track.first..).zip(&track.seen);
+        let inside = observations
+            .filter(|(frame, at)| masks.get(*frame).is_some_and(|mask| covered(mask, **at)));
         (inside.count() as f64) < MASKED_SHARE * track.seen.len() as f64
     })
 }
@@ -115,10 +115,10 @@ mod tests {
             half,
             Plane::filled(20, 10, 0),
         ];
-        let (kept, masked) = part(Some(&masks), vec![track(-20.0), track(20.0)], size);
-        assert_eq!((kept, masked), (vec![track(-20.0)], vec![track(20.0)]));
-        let (kept, masked) = part(None, vec![track(20.0)], size);
-        assert_eq!((kept.len(), masked.len()), (1, 0));
+        let (unmasked, masked) = part(Some(&masks), vec![track(-20.0), track(20.0)], size);
+        assert_eq!((unmasked, masked), (vec![track(-20.0)], vec![track(20.0)]));
+        let (unmasked, masked) = part(None, vec![track(20.0)], size);
+        assert_eq!((unmasked.len(), masked.len()), (1, 0));
     }
 
     #[test]

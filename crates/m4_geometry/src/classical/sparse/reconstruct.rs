@@ -51,17 +51,17 @@ pub(super) fn from_tracks(
 fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), SparseError> {
     let refused = |what: String| Err(SparseError::Input(what));
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
-        let found = frames.len();
+        let count = frames.len();
         return refused(format!(
-            "the clip has {found} frame(s); at least 2 are needed to observe motion"
+            "the clip has {count} frame(s); at least 2 are needed to observe motion"
         ));
     };
     let (width, height) = first.size();
     for (frame, image) in frames.iter().enumerate() {
         if image.size() != (width, height) {
-            let (found, expected) = (image.size(), (width, height));
+            let (size, expected) = (image.size(), (width, height));
             return refused(format!(
-                "frame {frame} is {found:?} pixels while frame 0 is {expected:?}; give frames of one size"
+                "frame {frame} is {size:?} pixels while frame 0 is {expected:?}; give frames of one size"
             ));
         }
     }
@@ -181,12 +181,12 @@ impl<'a> Clip<'a> {
     pub(super) fn solve(&mut self) -> Result<Recovered, SparseError> {
         if self.config.static_camera {
             self.warn_static("it was declared static");
-            let seen = sway(&self.tracks, self.frames, &[self.default_focal()]);
-            if let Some(seen) = seen.filter(|s| s.motion_px > DOUBTFUL * STATIC_MOTION_PX) {
+            let sway = sway(&self.tracks, self.frames, &[self.default_focal()]);
+            if let Some(sway) = sway.filter(|s| s.motion_px > DOUBTFUL * STATIC_MOTION_PX) {
                 self.warn(format!(
                     "the camera was declared static, but most of the image moves, by up to {:.1} px (working \
                      size); undeclared, its motion would be reconstructed",
-                    seen.motion_px
+                    sway.motion_px
                 ));
             }
             return Ok(self.one_pose());
@@ -239,10 +239,10 @@ impl<'a> Clip<'a> {
 
     fn check_tracks(&self) -> Result<(), SparseError> {
         for frame in 1..self.frames {
-            let found = matches(&self.tracks, frame - 1, frame).len();
-            if found < MIN_TRACKS {
+            let count = matches(&self.tracks, frame - 1, frame).len();
+            if count < MIN_TRACKS {
                 return Err(SparseError::NoAgreement(format!(
-                    "only {found} points could be tracked from frame {} to the next, {MIN_TRACKS} are needed (flat, dark or \
+                    "only {count} points could be tracked from frame {} to the next, {MIN_TRACKS} are needed (flat, dark or \
                      blurred images, or a cut); cut the clip there, or {STATIC_CAMERA} if it is, or \
                      supply a capture with poses",
                     frame - 1
@@ -272,14 +272,14 @@ impl<'a> Clip<'a> {
     /// Rotations alone.
     fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
         stopped(self.progress)?;
-        let found = turning(
+        let turning = turning(
             &self.tracks,
             self.frames,
             focals,
             self.default_focal(),
             self.limits.cauchy_px,
         );
-        let note = self.focal_note(found.focal_observed);
+        let note = self.focal_note(turning.focal_observed);
         self.warn(format!(
             "the camera rotates (by up to {:.1} degrees) but hardly translates: median parallax is at most {:.1} px where \
              {:.1} px are needed (working size); rotations only, depth cannot be measured{note}",
@@ -287,13 +287,17 @@ impl<'a> Clip<'a> {
             sway.parallax_px,
             MIN_PARALLAX * self.size.width as f64
         ));
-        if found.lost > 0 {
-            let (lost, frames) = (found.lost, self.frames);
+        if turning.lost > 0 {
+            let (lost, frames) = (turning.lost, self.frames);
             self.warn(format!(
                 "rotation could not be estimated for {lost} of {frames} frames; the previous frame's rotation was used"
             ));
         }
-        Ok(self.without_points(found.map, CameraMotion::RotationOnly, found.focal_observed))
+        Ok(self.without_points(
+            turning.map,
+            CameraMotion::RotationOnly,
+            turning.focal_observed,
+        ))
     }
 
     /// The reconstruction of a camera that does not translate; `focal_observed`: its rotation

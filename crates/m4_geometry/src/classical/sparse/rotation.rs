@@ -134,9 +134,9 @@ pub(crate) fn sway(tracks: &[RawTrack], frames: usize, focals: &[f64]) -> Option
     let mut pairs: Vec<Vec<Match>> = Vec::new();
     for (i, &a) in picked.iter().enumerate() {
         for &b in &picked[i + 1..] {
-            let found = matches(tracks, a, b);
-            if found.len() >= MIN_TRACKS {
-                pairs.push(found);
+            let matches = matches(tracks, a, b);
+            if matches.len() >= MIN_TRACKS {
+                pairs.push(matches);
             }
         }
     }
@@ -194,14 +194,14 @@ pub(crate) fn keyframes(
         let mut keys = vec![0];
         let mut last = 0;
         for frame in 1..frames {
-            let found = matches(tracks, last, frame);
+            let matches = matches(tracks, last, frame);
             let started = tracks
                 .iter()
                 .filter(|t| t.at(last).is_some())
                 .count()
                 .max(1);
-            let lost = (found.len() as f64) < KEYFRAME_SURVIVAL * started as f64;
-            if lost || turn(&found, focal).is_none_or(|t| t.parallax_px > threshold) {
+            let lost = (matches.len() as f64) < KEYFRAME_SURVIVAL * started as f64;
+            if lost || turn(&matches, focal).is_none_or(|t| t.parallax_px > threshold) {
                 keys.push(frame);
                 last = frame;
             }
@@ -283,7 +283,7 @@ mod tests {
                     0.9 * rng.normal(),
                     5.0 + 5.0 * rng.uniform(),
                 );
-                let seen = (0..frames)
+                let positions = (0..frames)
                     .map(|i| {
                         let t = i as f64;
                         let p = exp_so3(&Vector3::new(0.0, turn * t, 0.3 * turn * t)) * x
@@ -291,7 +291,10 @@ mod tests {
                         [focal * p.x / p.z, focal * p.y / p.z]
                     })
                     .collect();
-                RawTrack { first: 0, seen }
+                RawTrack {
+                    first: 0,
+                    seen: positions,
+                }
             })
             .collect()
     }
@@ -299,9 +302,9 @@ mod tests {
     #[test]
     fn a_turn_is_taken_out() {
         let t = tracks(5, 0.03, 0.0, 400.0);
-        let found = turn(&super::matches(&t, 0, 4), 400.0).expect("a turn");
-        assert!(found.parallax_px < 1e-6);
-        assert!((found.rotation - exp_so3(&Vector3::new(0.0, 0.12, 0.036))).norm() < 1e-9);
+        let actual = turn(&super::matches(&t, 0, 4), 400.0).expect("a turn");
+        assert!(actual.parallax_px < 1e-6);
+        assert!((actual.rotation - exp_so3(&Vector3::new(0.0, 0.12, 0.036))).norm() < 1e-9);
     }
 
     #[test]

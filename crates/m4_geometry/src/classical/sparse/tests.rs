@@ -120,8 +120,8 @@ fn solve(
 /// A reconstruction of the scene's tracks, of which all is unknown, and which of them move.
 fn solved(scene: &Scene) -> (SparseReconstruction, Vec<bool>) {
     let (tracks, moving) = scene.tracks();
-    let found = solve(tracks, scene.frames, &SparseConfig::default());
-    (found.expect("a reconstruction"), moving)
+    let reconstruction = solve(tracks, scene.frames, &SparseConfig::default());
+    (reconstruction.expect("a reconstruction"), moving)
 }
 
 #[test]
@@ -144,21 +144,27 @@ fn it_stops_when_asked() {
 }
 
 /// Tracks with this motion whose points move, or do not.
-fn judged(found: &SparseReconstruction, moving: &[bool], motion: Motion, moves: bool) -> usize {
-    let pairs = found.tracks.iter().zip(moving);
+fn judged(
+    reconstruction: &SparseReconstruction,
+    moving: &[bool],
+    motion: Motion,
+    moves: bool,
+) -> usize {
+    let pairs = reconstruction.tracks.iter().zip(moving);
     pairs
         .filter(|(t, m)| t.motion == motion && **m == moves)
         .count()
 }
 
-fn misjudged(found: &SparseReconstruction, moving: &[bool]) -> usize {
-    judged(found, moving, Motion::Static, true) + judged(found, moving, Motion::Dynamic, false)
+fn misjudged(reconstruction: &SparseReconstruction, moving: &[bool]) -> usize {
+    judged(reconstruction, moving, Motion::Static, true)
+        + judged(reconstruction, moving, Motion::Dynamic, false)
 }
 
 /// Trajectory error over path length after alignment, and the greatest rotation error in radians
 /// relative to frame 0.
-fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
-    let ours: Vec<Se3<f64>> = found.cameras.iter().map(|c| c.c2w).collect();
+fn errors(reconstruction: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
+    let ours: Vec<Se3<f64>> = reconstruction.cameras.iter().map(|c| c.c2w).collect();
     let want: Vec<Se3<f64>> = (0..scene.frames).map(|i| scene.pose(i).inverse()).collect();
     let since = |poses: &[Se3<f64>], i: usize| poses[0].rotation.tr_mul(&poses[i].rotation);
     let turn = |i| log_so3(&since(&ours, i).tr_mul(&since(&want, i))).norm();
@@ -179,19 +185,20 @@ fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
 
 #[test]
 fn a_room_with_a_fifth_of_moving_points() {
-    let (found, moving) = solved(&ROOM);
-    let (trajectory, turn) = errors(&found, &ROOM);
-    let focal = found.cameras[0].intrinsics.fx;
-    assert_eq!(found.camera_motion, CameraMotion::Parallax);
+    let (reconstruction, moving) = solved(&ROOM);
+    let (trajectory, turn) = errors(&reconstruction, &ROOM);
+    let focal = reconstruction.cameras[0].intrinsics.fx;
+    assert_eq!(reconstruction.camera_motion, CameraMotion::Parallax);
     assert!(trajectory < 0.004, "trajectory error {trajectory}");
     assert!(turn < 0.005, "rotation error {turn}");
     assert!((focal / ROOM.focal - 1.0).abs() < 0.02, "focal {focal}");
     assert!(
-        found.residual_px < 0.3 && found.warnings.is_empty(),
+        reconstruction.residual_px < 0.3 && reconstruction.warnings.is_empty(),
         "{:?}",
-        found.warnings
+        reconstruction.warnings
     );
-    let judged = |motion: Motion, moves: bool| judged(&found, &moving, motion, moves) as f64;
+    let judged =
+        |motion: Motion, moves: bool| judged(&reconstruction, &moving, motion, moves) as f64;
     let (hit, miss) = (judged(Motion::Dynamic, true), judged(Motion::Static, true));
     assert!(
         hit > 0.85 * (hit + miss),
@@ -208,10 +215,10 @@ fn a_room_with_a_fifth_of_moving_points() {
         rest + wrong
     );
     // The world is the first camera, and the median depth is 1.
-    assert!((found.cameras[0].c2w.matrix() - Se3::identity().matrix()).norm() < 1e-9);
-    for (t, moves) in found.tracks.iter().zip(&moving) {
+    assert!((reconstruction.cameras[0].c2w.matrix() - Se3::identity().matrix()).norm() < 1e-9);
+    for (t, moves) in reconstruction.tracks.iter().zip(&moving) {
         if let (Some(x), false) = (t.point, moves) {
-            let (p, z) = found.cameras[t.first_frame].project(&x);
+            let (p, z) = reconstruction.cameras[t.first_frame].project(&x);
             let o = t.observations[0];
             assert!(z > 0.0 && (p[0] - f64::from(o[0])).hypot(p[1] - f64::from(o[1])) < 3.0);
         }
@@ -248,14 +255,17 @@ fn other_lenses_and_a_walk_straight_ahead_are_reconstructed() {
         ),
         ("walk", walk, f64::INFINITY, 0.02),
     ] {
-        let (found, _) = solved(&scene);
+        let (reconstruction, _) = solved(&scene);
         assert_eq!(
-            found.camera_motion,
+            reconstruction.camera_motion,
             CameraMotion::Parallax,
             "{what}: {:?}",
-            found.warnings
+            reconstruction.warnings
         );
-        let (focal, path) = (found.cameras[0].intrinsics.fx, errors(&found, &scene).0);
+        let (focal, path) = (
+            reconstruction.cameras[0].intrinsics.fx,
+            errors(&reconstruction, &scene).0,
+        );
         assert!(
             (focal / scene.focal - 1.0).abs() < focal_off && path < path_off,
             "{what}: {focal} {path}"
@@ -266,20 +276,20 @@ fn other_lenses_and_a_walk_straight_ahead_are_reconstructed() {
 #[test]
 fn given_focal_length_and_static_camera_are_used() {
     let solve = |config| solve(ROOM.tracks().0, ROOM.frames, &config).expect("a reconstruction");
-    let found = solve(SparseConfig {
+    let reconstruction = solve(SparseConfig {
         focal_px: Some(530.0),
         fov_deg: Some(40.0),
         ..SparseConfig::default()
     });
-    assert!((found.cameras[0].intrinsics.fx - 530.0).abs() < 1e-9);
-    assert!(errors(&found, &ROOM).0 < 0.02);
-    let found = solve(SparseConfig {
+    assert!((reconstruction.cameras[0].intrinsics.fx - 530.0).abs() < 1e-9);
+    assert!(errors(&reconstruction, &ROOM).0 < 0.02);
+    let reconstruction = solve(SparseConfig {
         static_camera: true,
         fov_deg: Some(60.0),
         ..SparseConfig::default()
     });
-    assert_eq!(found.camera_motion, CameraMotion::Static);
-    let fov = found.cameras[0]
+    assert_eq!(reconstruction.camera_motion, CameraMotion::Static);
+    let fov = reconstruction.cameras[0]
         .intrinsics
         .horizontal_fov_rad()
         .to_degrees();
@@ -294,19 +304,29 @@ fn turning_camera_gives_rotations_and_is_reported() {
         moving: 0.1,
         ..ROOM
     };
-    let (found, moving) = solved(&scene);
-    assert_eq!(found.camera_motion, CameraMotion::RotationOnly);
-    let focal = found.cameras[0].intrinsics.fx;
+    let (reconstruction, moving) = solved(&scene);
+    assert_eq!(reconstruction.camera_motion, CameraMotion::RotationOnly);
+    let focal = reconstruction.cameras[0].intrinsics.fx;
     assert!((focal / scene.focal - 1.0).abs() < 0.15, "focal {focal}");
     assert!(
-        errors(&found, &scene).1 < 0.05,
+        errors(&reconstruction, &scene).1 < 0.05,
         "{}",
-        errors(&found, &scene).1
+        errors(&reconstruction, &scene).1
     );
-    assert!(found.cameras.iter().all(|c| c.centre().norm() == 0.0));
-    assert!(found.tracks.iter().all(|t| t.point.is_none()));
-    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
-    assert!(judged(&found, &moving, Motion::Dynamic, false) < 20);
+    assert!(
+        reconstruction
+            .cameras
+            .iter()
+            .all(|c| c.centre().norm() == 0.0)
+    );
+    assert!(reconstruction.tracks.iter().all(|t| t.point.is_none()));
+    assert_eq!(
+        reconstruction.warnings.len(),
+        1,
+        "{:?}",
+        reconstruction.warnings
+    );
+    assert!(judged(&reconstruction, &moving, Motion::Dynamic, false) < 20);
 }
 
 #[test]
@@ -317,20 +337,25 @@ fn zoom_gives_rotations_and_intrinsics_per_frame() {
         ..ROOM
     };
     let (tracks, moving) = scene.tracks();
-    let found = solve(tracks.clone(), scene.frames, &SparseConfig::default()).unwrap();
+    let reconstruction = solve(tracks.clone(), scene.frames, &SparseConfig::default()).unwrap();
     assert_eq!(
-        found.camera_motion,
+        reconstruction.camera_motion,
         CameraMotion::RotationOnly,
         "{:?}",
-        found.warnings
+        reconstruction.warnings
     );
-    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
-    assert!(
-        found.warnings[0].contains("the lens zooms"),
+    assert_eq!(
+        reconstruction.warnings.len(),
+        1,
         "{:?}",
-        found.warnings
+        reconstruction.warnings
     );
-    let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
+    assert!(
+        reconstruction.warnings[0].contains("the lens zooms"),
+        "{:?}",
+        reconstruction.warnings
+    );
+    let lens = |frame: usize| reconstruction.cameras[frame].intrinsics.fx;
     assert!(
         (lens(29) / lens(0) / 1.8 - 1.0).abs() < 0.01,
         "{} {}",
@@ -338,21 +363,21 @@ fn zoom_gives_rotations_and_intrinsics_per_frame() {
         lens(29)
     );
     // Tracks are where they were seen.
-    let (seen, raw) = (found.tracks[7].observations[3], tracks[7].seen[3]);
+    let (observation, raw) = (reconstruction.tracks[7].observations[3], tracks[7].seen[3]);
     for (k, middle) in [320.0, 240.0].into_iter().enumerate() {
         assert!(
-            (f64::from(seen[k]) + 0.5 - middle - raw[k]).abs() < 1e-3,
-            "{seen:?} {raw:?}"
+            (f64::from(observation[k]) + 0.5 - middle - raw[k]).abs() < 1e-3,
+            "{observation:?} {raw:?}"
         );
     }
-    assert!(misjudged(&found, &moving) * 10 < moving.len());
+    assert!(misjudged(&reconstruction, &moving) * 10 < moving.len());
     // A given field of view is that of the first frame.
     let told = SparseConfig {
         focal_px: Some(520.0),
         ..SparseConfig::default()
     };
-    let found = solve(tracks, scene.frames, &told).unwrap();
-    let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
+    let reconstruction = solve(tracks, scene.frames, &told).unwrap();
+    let lens = |frame: usize| reconstruction.cameras[frame].intrinsics.fx;
     assert!(
         (lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01,
         "{} {}",
@@ -368,15 +393,21 @@ fn a_camera_on_a_tripod_gives_one_pose() {
         turn: 0.0,
         ..ROOM
     };
-    let (found, moving) = solved(&scene);
-    assert_eq!(found.camera_motion, CameraMotion::Static);
-    assert!(found.cameras.iter().all(|c| c.c2w == Se3::identity()));
+    let (reconstruction, moving) = solved(&scene);
+    assert_eq!(reconstruction.camera_motion, CameraMotion::Static);
     assert!(
-        found.warnings[0].contains(FIELD_OF_VIEW),
-        "{:?}",
-        found.warnings
+        reconstruction
+            .cameras
+            .iter()
+            .all(|c| c.c2w == Se3::identity())
     );
-    let dynamic = [true, false].map(|moves| judged(&found, &moving, Motion::Dynamic, moves));
+    assert!(
+        reconstruction.warnings[0].contains(FIELD_OF_VIEW),
+        "{:?}",
+        reconstruction.warnings
+    );
+    let dynamic =
+        [true, false].map(|moves| judged(&reconstruction, &moving, Motion::Dynamic, moves));
     assert!(dynamic[0] > 60 && dynamic[1] == 0, "{dynamic:?}");
 }
 
@@ -387,13 +418,16 @@ fn noise_is_refused_with_numbers() {
         .map(|_| {
             let mut p = [600.0 * (rng.uniform() - 0.5), 440.0 * (rng.uniform() - 0.5)];
             let speed = [6.0 * rng.normal(), 6.0 * rng.normal()];
-            let seen = (0..20)
+            let positions = (0..20)
                 .map(|_| {
                     p = [0, 1].map(|k| p[k] + speed[k] + 4.0 * rng.normal());
                     p
                 })
                 .collect();
-            RawTrack { first: 0, seen }
+            RawTrack {
+                first: 0,
+                seen: positions,
+            }
         })
         .collect();
     let error = solve(tracks, 20, &SparseConfig::default()).unwrap_err();
@@ -428,8 +462,8 @@ fn a_cut_is_reported_where_it_is() {
 fn the_number_of_threads_changes_nothing() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-        let (found, _) = pool.expect("a pool").install(|| solved(&ROOM));
-        (found.cameras, found.residual_px)
+        let (reconstruction, _) = pool.expect("a pool").install(|| solved(&ROOM));
+        (reconstruction.cameras, reconstruction.residual_px)
     };
     assert_eq!(run(1), run(3));
 }
@@ -453,13 +487,17 @@ fn room_cameras(focal: f64) -> Vec<Camera> {
 #[test]
 fn given_cameras_are_used_and_points_are_in_their_unit() {
     let cameras = room_cameras(ROOM.focal);
-    let found = posed(&cameras).expect("a reconstruction");
-    assert_eq!(found.cameras, cameras);
-    assert_eq!(found.camera_motion, CameraMotion::Parallax);
-    assert!(found.residual_px < 0.3, "{}", found.residual_px);
-    assert!(misjudged(&found, &ROOM.tracks().1) < ROOM.points / 20);
+    let reconstruction = posed(&cameras).expect("a reconstruction");
+    assert_eq!(reconstruction.cameras, cameras);
+    assert_eq!(reconstruction.camera_motion, CameraMotion::Parallax);
+    assert!(
+        reconstruction.residual_px < 0.3,
+        "{}",
+        reconstruction.residual_px
+    );
+    assert!(misjudged(&reconstruction, &ROOM.tracks().1) < ROOM.points / 20);
     let depth = |t: &Track| Some(cameras[t.first_frame].project(&t.point?).1);
-    let depths: Vec<f64> = found.tracks.iter().filter_map(depth).collect();
+    let depths: Vec<f64> = reconstruction.tracks.iter().filter_map(depth).collect();
     let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
     assert!(
         depths.len() > 150 && inside * 20 > depths.len() * 19,
@@ -501,18 +539,18 @@ fn tracks_in_given_masks_are_dynamic_and_excluded() {
     let masks = vec![left; ROOM.frames];
     let count = tracks.len();
     let features = features(tracks, ROOM.frames);
-    let found = from_tracks(features, Some(&masks), &SparseConfig::default(), &Silent);
-    let found = found.expect("a reconstruction").sparse;
-    assert_eq!(found.tracks.len(), count);
+    let result = from_tracks(features, Some(&masks), &SparseConfig::default(), &Silent);
+    let reconstruction = result.expect("a reconstruction").sparse;
+    assert_eq!(reconstruction.tracks.len(), count);
     let inside = |t: &&Track| t.observations.iter().all(|p| p[0] < 150.0);
-    let masked: Vec<&Track> = found.tracks.iter().filter(inside).collect();
+    let masked: Vec<&Track> = reconstruction.tracks.iter().filter(inside).collect();
     assert!(
         masked.len() > 20
             && masked
                 .iter()
                 .all(|t| t.motion == Motion::Dynamic && t.point.is_none())
     );
-    let (trajectory, turn) = errors(&found, &ROOM);
+    let (trajectory, turn) = errors(&reconstruction, &ROOM);
     assert!(trajectory < 0.01 && turn < 0.01, "{trajectory} {turn}");
 }
 
@@ -529,9 +567,9 @@ fn off_centre_principal_point_gives_the_same_cameras() {
         intrinsics: Some([fx, fy, cx, cy]),
         ..SparseConfig::default()
     };
-    let found = solve(tracks, ROOM.frames, &config).expect("a reconstruction");
-    let k = found.cameras[0].intrinsics;
+    let reconstruction = solve(tracks, ROOM.frames, &config).expect("a reconstruction");
+    let k = reconstruction.cameras[0].intrinsics;
     assert_eq!([k.fx, k.fy, k.cx, k.cy], [fx, fy, cx, cy]);
-    let (trajectory, turn) = errors(&found, &ROOM);
+    let (trajectory, turn) = errors(&reconstruction, &ROOM);
     assert!(trajectory < 0.01 && turn < 0.005, "{trajectory} {turn}");
 }

@@ -77,7 +77,7 @@ pub(crate) fn track(
                     .par_iter()
                     .map(|t| step(t, previous, &current))
                     .collect();
-                let mut kept = Vec::with_capacity(live.len());
+                let mut survivors = Vec::with_capacity(live.len());
                 for (mut t, moved) in live.into_iter().zip(moved) {
                     let Some(Step { at, linear, anchor }) = moved else {
                         done.push(finish(t));
@@ -86,15 +86,15 @@ pub(crate) fn track(
                     t.seen.push(at);
                     t.linear = linear;
                     t.anchor = anchor.unwrap_or(t.anchor);
-                    kept.push(t);
+                    survivors.push(t);
                 }
-                live = without_collisions(kept, &mut done, finish);
+                live = without_collisions(survivors, &mut done, finish);
             }
             if frame + 1 < frames.len() {
                 let occupied: Vec<[f32; 2]> =
                     live.iter().filter_map(|t| t.seen.last().copied()).collect();
-                let found = fill_empty_cells(&current.levels[0], &occupied);
-                live.extend(found.into_iter().filter_map(|p| {
+                let corners = fill_empty_cells(&current.levels[0], &occupied);
+                live.extend(corners.into_iter().filter_map(|p| {
                     let anchor = Anchor::new(&current.fine, p)?;
                     Some(Live {
                         first: frame,
@@ -178,11 +178,11 @@ fn without_collisions(
     let reach = 0.5 * MIN_DISTANCE_PX;
     // Oldest first: new tracks are appended.
     let mut buckets: BTreeMap<(i32, i32), Vec<[f32; 2]>> = BTreeMap::new();
-    let mut kept = Vec::with_capacity(tracks.len());
+    let mut survivors = Vec::with_capacity(tracks.len());
     for mut t in tracks {
         let Some(&p) = t.seen.last() else { continue };
         let key = ((p[0] / reach) as i32, (p[1] / reach) as i32);
-        let taken = (-1..=1).any(|dy| {
+        let occupied = (-1..=1).any(|dy| {
             (-1..=1).any(|dx| {
                 buckets.get(&(key.0 + dx, key.1 + dy)).is_some_and(|near| {
                     near.iter()
@@ -190,15 +190,15 @@ fn without_collisions(
                 })
             })
         });
-        if taken {
+        if occupied {
             t.seen.pop();
             done.push(finish(t));
         } else {
             buckets.entry(key).or_default().push(p);
-            kept.push(t);
+            survivors.push(t);
         }
     }
-    kept
+    survivors
 }
 
 /// Side of the cells that hold at least one track each, where there is texture, working pixels. 16
@@ -284,7 +284,7 @@ fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
                     .any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < MIN_DISTANCE_PX)
             })
     };
-    let mut found = Vec::new();
+    let mut corners = Vec::new();
     for cy in 0..rows {
         for cx in 0..columns {
             if !cells[cy * columns + cx].is_empty() {
@@ -308,11 +308,11 @@ fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
             }
             if let Some((_, p)) = best {
                 cells[cy * columns + cx].push(p);
-                found.push(p);
+                corners.push(p);
             }
         }
     }
-    found
+    corners
 }
 
 #[cfg(test)]

@@ -204,7 +204,7 @@ fn essential_matrices(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> 
     else {
         return Vec::new();
     };
-    let mut found = Vec::new();
+    let mut matrices = Vec::new();
     for value in schur.complex_eigenvalues().iter() {
         if value.im.abs() > 1e-8 * (1.0 + value.re.abs()) {
             continue;
@@ -218,10 +218,10 @@ fn essential_matrices(first: &[Vector3<f64>; 5], second: &[Vector3<f64>; 5]) -> 
         let e = (basis[0] * v[6] + basis[1] * v[7] + basis[2] * v[8]) / v[9] + basis[3];
         let norm = e.norm();
         if norm.is_finite() && norm > 0.0 {
-            found.push(e / norm);
+            matrices.push(e / norm);
         }
     }
-    found
+    matrices
 }
 
 /// Multiplication by `x` on the basis `x^2, xy, y^2, xz, yz, z^2, x, y, z, 1`.
@@ -337,19 +337,19 @@ mod tests {
                 )
             })
             .collect();
-        let found = relate(&matches, focal, 0, 0).expect("a motion");
-        let turn = log_so3(&(found.motion.rotation * truth.rotation.transpose())).norm();
-        let angle = found
+        let relation = relate(&matches, focal, 0, 0).expect("a motion");
+        let turn = log_so3(&(relation.motion.rotation * truth.rotation.transpose())).norm();
+        let angle = relation
             .motion
             .translation
             .dot(&truth.translation.normalize())
             .acos();
         assert!(turn < 0.01 && angle < 0.05, "{turn} {angle}");
         assert!(
-            found.inliers.len() > 220 && found.score > 0.6,
+            relation.inliers.len() > 220 && relation.score > 0.6,
             "{} {}",
-            found.inliers.len(),
-            found.score
+            relation.inliers.len(),
+            relation.score
         );
         assert!(relate(&matches[..7], focal, 0, 0).is_none());
     }
@@ -366,11 +366,11 @@ mod tests {
                 std::array::from_fn(|_| random(1.0) + Vector3::new(0.0, 0.0, 6.0));
             let first = points.map(|p| p / p.z);
             let second = points.map(|p| rotation * p + translation).map(|p| p / p.z);
-            let found = essential_matrices(&first, &second);
+            let matrices = essential_matrices(&first, &second);
             let error = |e: &Matrix3<f64>| (e - truth).norm().min((e + truth).norm());
-            let best = found.iter().map(error).fold(f64::INFINITY, f64::min);
+            let best = matrices.iter().map(error).fold(f64::INFINITY, f64::min);
             missed += usize::from(best > 1e-5);
-            for e in &found {
+            for e in &matrices {
                 for k in 0..5 {
                     assert!(second[k].dot(&(e * first[k])).abs() < 1e-7);
                 }

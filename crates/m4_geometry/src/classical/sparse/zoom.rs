@@ -105,9 +105,9 @@ pub(crate) fn range(aims: &[Aim]) -> (f64, f64) {
 /// zooms.
 fn glance(pairs: &[Vec<Match>], focal: f64) -> Option<()> {
     let (mut at, mut least, mut most) = (focal, focal, focal);
-    for found in pairs.iter().filter(|found| found.len() >= MIN_TRACKS) {
-        let next = step(found, at, 1.0)?;
-        let mut errors: Vec<f64> = found
+    for matches in pairs.iter().filter(|matches| matches.len() >= MIN_TRACKS) {
+        let next = step(matches, at, 1.0)?;
+        let mut errors: Vec<f64> = matches
             .iter()
             .map(|m| error_px(&next, &ray(m.0, at), m.1))
             .collect();
@@ -122,13 +122,13 @@ fn glance(pairs: &[Vec<Match>], focal: f64) -> Option<()> {
 }
 
 /// The turn and the focal length of the second frame, given that of the first.
-fn step(found: &[Match], focal: f64, cauchy_px: f64) -> Option<Aim> {
-    let sightings: Vec<_> = found.iter().map(|m| (ray(m.0, focal), m.1)).collect();
+fn step(matches: &[Match], focal: f64, cauchy_px: f64) -> Option<Aim> {
+    let sightings: Vec<_> = matches.iter().map(|m| (ray(m.0, focal), m.1)).collect();
     // Distances between points grow with the focal length, however the camera turns (a little).
-    let half = found.len() / 2;
+    let half = matches.len() / 2;
     let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
     let mut growth: Vec<f64> = (0..half)
-        .map(|i| (&found[i], &found[i + half]))
+        .map(|i| (&matches[i], &matches[i + half]))
         .filter(|(a, b)| distance(a.0, b.0) > 10.0)
         .map(|(a, b)| distance(a.1, b.1) / distance(a.0, b.0))
         .collect();
@@ -205,11 +205,11 @@ fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, cauchy_px: f64) -> Op
     let mut aims = vec![first];
     let mut last = first;
     for pair in picked.windows(2) {
-        let found = matches(tracks, pair[0], pair[1]);
-        if found.len() < MIN_TRACKS {
+        let matches = matches(tracks, pair[0], pair[1]);
+        if matches.len() < MIN_TRACKS {
             return None;
         }
-        let next = step(&found, last.focal, cauchy_px)?;
+        let next = step(&matches, last.focal, cauchy_px)?;
         last = Aim {
             rotation: next.rotation * last.rotation,
             focal: next.focal,
@@ -222,8 +222,8 @@ fn aims(tracks: &[RawTrack], picked: &[usize], focal: f64, cauchy_px: f64) -> Op
         let refined: Option<Vec<Aim>> = (0..picked.len())
             .into_par_iter()
             .map(|k| {
-                let seen = tracks.iter().zip(&directions);
-                let sightings: Vec<_> = seen
+                let pairs = tracks.iter().zip(&directions);
+                let sightings: Vec<_> = pairs
                     .filter_map(|(t, d)| Some(((*d)?, t.at(picked[k])?)))
                     .collect();
                 fit(&sightings, &aims[k], k > 0, &[cauchy_px])
@@ -257,8 +257,8 @@ fn median_error(tracks: &[RawTrack], picked: &[usize], aims: &[Aim]) -> Option<f
         .par_iter()
         .filter_map(|track| {
             let direction = direction(track, picked, aims)?;
-            let seen = picked.iter().zip(aims);
-            let mut errors: Vec<f64> = seen
+            let pairs = picked.iter().zip(aims);
+            let mut errors: Vec<f64> = pairs
                 .filter_map(|(&frame, aim)| Some(error_px(aim, &direction, track.at(frame)?)))
                 .collect();
             median(&mut errors)
@@ -284,7 +284,7 @@ mod tests {
             .map(|i| {
                 let z = if flat { 6.0 } else { 3.0 + 6.0 * rng.uniform() };
                 let x = Vector3::new(0.3 * z * rng.normal(), 0.25 * z * rng.normal(), z);
-                let seen = (0..FRAMES).map(|k| {
+                let positions = (0..FRAMES).map(|k| {
                     let s = k as f64 / (FRAMES - 1) as f64;
                     let p = exp_so3(&Vector3::new(0.2 * turn * s, turn * s, 0.0))
                         * (x - Vector3::new(0.0, 0.0, ahead * s));
@@ -297,7 +297,7 @@ mod tests {
                 });
                 RawTrack {
                     first: 0,
-                    seen: seen.collect(),
+                    seen: positions.collect(),
                 }
             })
             .collect()
@@ -307,20 +307,20 @@ mod tests {
 
     #[test]
     fn a_zoom_and_a_turn_are_measured() {
-        let found =
+        let actual =
             zooming(&tracks(0.5, 2.0, 0.0, false), FRAMES, &FOCALS, 500.0, 1.0).expect("a zoom");
-        assert!(found.focal_observed);
-        let last = found.aims[FRAMES - 1];
+        assert!(actual.focal_observed);
+        let last = actual.aims[FRAMES - 1];
         assert!((last.focal / 800.0 - 1.0).abs() < 0.01, "{}", last.focal);
         let turn = log_so3(&last.rotation);
         assert!((turn - Vector3::new(0.1, 0.5, 0.0)).norm() < 5e-3, "{turn}");
         // The other way round, without a turn: the assumed focal length is kept, the ratio is
         // known.
-        let found =
+        let actual =
             zooming(&tracks(0.0, 0.6, 0.0, false), FRAMES, &FOCALS, 450.0, 1.0).expect("a zoom");
-        let (least, most) = range(&found.aims);
+        let (least, most) = range(&actual.aims);
         assert!(
-            !found.focal_observed && (most - 450.0).abs() < 1.0,
+            !actual.focal_observed && (most - 450.0).abs() < 1.0,
             "{least} {most}"
         );
         assert!((least / most - 0.6).abs() < 0.005, "{least} {most}");

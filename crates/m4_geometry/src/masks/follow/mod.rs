@@ -31,7 +31,7 @@ pub struct FlowFollower<'a> {
     images: &'a [&'a RgbImage],
     size: (usize, usize),
     segmenter: Option<(&'a str, &'a Segmenter<'a>)>,
-    known: BTreeMap<ObjectId, MaskHistory>,
+    histories: BTreeMap<ObjectId, MaskHistory>,
 }
 
 impl<'a> FlowFollower<'a> {
@@ -47,7 +47,7 @@ impl<'a> FlowFollower<'a> {
             images,
             size,
             segmenter,
-            known: BTreeMap::new(),
+            histories: BTreeMap::new(),
         }
     }
 }
@@ -82,8 +82,8 @@ fn sharpened(
         .par_iter()
         .filter_map(|&k| Some(prompt_of(carried[k].as_ref()?)))
         .collect();
-    let found = asked(segmenter, image, size, &prompts)?;
-    for (&k, answer) in large.iter().zip(&found) {
+    let answers = asked(segmenter, image, size, &prompts)?;
+    for (&k, answer) in large.iter().zip(&answers) {
         if let Some(mask) = &mut carried[k] {
             let sharp = above(&answer.logits, size);
             if answer.quality >= LEAST_QUALITY && overlap(&sharp, mask) >= LEAST_OVERLAP {
@@ -205,9 +205,9 @@ impl VideoSession for FlowFollower<'_> {
                         belief: p.belief.clone(),
                     })
                     .collect();
-                let found =
+                let answers =
                     asked(segmenter, image, self.size, &wanted).map_err(failed(name, frame))?;
-                found
+                answers
                     .iter()
                     .map(|m: &SegmentMask| above(&m.logits, self.size))
                     .collect()
@@ -222,8 +222,8 @@ impl VideoSession for FlowFollower<'_> {
         };
         let mut out = Vec::with_capacity(prompts.len());
         for (prompt, mask) in prompts.iter().zip(answers) {
-            let known = self.known.entry(prompt.object).or_default();
-            known.prompted.insert(frame, mask.clone());
+            let history = self.histories.entry(prompt.object).or_default();
+            history.prompted.insert(frame, mask.clone());
             out.push(ObjectMask {
                 object: prompt.object,
                 mask,
@@ -239,7 +239,7 @@ impl VideoSession for FlowFollower<'_> {
         object: ObjectId,
         mask: &CompactMask,
     ) -> Result<(), InstanceError> {
-        self.known
+        self.histories
             .entry(object)
             .or_default()
             .prompted
@@ -248,7 +248,7 @@ impl VideoSession for FlowFollower<'_> {
     }
 
     fn forget(&mut self, object: ObjectId) {
-        self.known.remove(&object);
+        self.histories.remove(&object);
     }
 
     fn follow(
@@ -265,9 +265,9 @@ impl VideoSession for FlowFollower<'_> {
         }
         let later = to > from;
         let start = |object: &ObjectId| {
-            self.known
+            self.histories
                 .get(object)
-                .and_then(|known| known.at(from, later))
+                .and_then(|history| history.at(from, later))
         };
         let mut masks: Vec<Option<CompactMask>> = objects.iter().map(start).collect();
         let way: Vec<usize> = if later {
@@ -282,7 +282,7 @@ impl VideoSession for FlowFollower<'_> {
             // Nobody is left: every frame gets empty masks, without flow.
             let part = &way[k..way.len().min(k + AHEAD + 1)];
             let prompted = |object: &ObjectId| {
-                let prompted = self.known.get(object).map(|known| &known.prompted);
+                let prompted = self.histories.get(object).map(|history| &history.prompted);
                 prompted
                     .is_some_and(|prompted| part.iter().any(|frame| prompted.contains_key(frame)))
             };
@@ -292,37 +292,34 @@ impl VideoSession for FlowFollower<'_> {
                 if progress.cancelled() {
                     return Err(InstanceError::Cancelled { phase: PHASE });
                 }
-                let found = match steps.get(j - 1) {
+                let answers = match steps.get(j - 1) {
                     Some((step, onto)) => self.stepped(&masks, frame, step, onto)?,
                     None => vec![None; masks.len()],
                 };
                 // What was said of a frame outranks what is found there.
-                let said = |object| Some(self.known.get(object)?.prompted.get(&frame)?.clone());
-                masks = found
+                let said = |object| Some(self.histories.get(object)?.prompted.get(&frame)?.clone());
+                masks = answers
                     .into_iter()
                     .zip(objects)
-                    .map(|(found, object)| said(object).or(found))
+                    .map(|(mask, object)| said(object).or(mask))
                     .collect();
-                let shown = masks
-                    .iter()
-                    .zip(objects)
-                    .map(|(found, &object)| match found {
-                        Some(mask) => ObjectMask {
-                            object,
-                            mask: mask.clone(),
-                            lost: false,
-                        },
-                        None => ObjectMask::unseen(object, self.size, true),
-                    });
+                let shown = masks.iter().zip(objects).map(|(mask, &object)| match mask {
+                    Some(mask) => ObjectMask {
+                        object,
+                        mask: mask.clone(),
+                        lost: false,
+                    },
+                    None => ObjectMask::unseen(object, self.size, true),
+                });
                 sink(frame, shown.collect());
             }
         }
         for (object, mask) in objects.iter().zip(masks) {
-            if let Some(known) = self.known.get_mut(object) {
+            if let Some(history) = self.histories.get_mut(object) {
                 *(if later {
-                    &mut known.forward
+                    &mut history.forward
                 } else {
-                    &mut known.backward
+                    &mut history.backward
                 }) = Some((to, mask));
             }
         }

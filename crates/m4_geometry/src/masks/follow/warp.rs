@@ -26,32 +26,32 @@ const MARGIN_PX: usize = 16;
 /// mask.
 pub struct Step {
     /// From the frame of the mask to the other, to say what arrives.
-    there: Flow,
-    there_round_trip_px: Vec<f32>,
+    forward: Flow,
+    forward_round_trip_px: Vec<f32>,
     /// From the other back, to fetch values.
-    back: Flow,
-    back_round_trip_px: Vec<f32>,
+    backward: Flow,
+    backward_round_trip_px: Vec<f32>,
 }
 
 impl Step {
     pub fn new(pair: FlowPair, (width, height): (usize, usize)) -> Self {
         if (pair.forward.width, pair.forward.height) == (width, height) {
             return Self {
-                there: pair.forward,
-                there_round_trip_px: pair.forward_round_trip,
-                back: pair.backward,
-                back_round_trip_px: pair.backward_round_trip,
+                forward: pair.forward,
+                forward_round_trip_px: pair.forward_round_trip,
+                backward: pair.backward,
+                backward_round_trip_px: pair.backward_round_trip,
             };
         }
-        let (there, back) = (
+        let (forward, backward) = (
             pair.forward.resized(width, height),
             pair.backward.resized(width, height),
         );
         Self {
-            there_round_trip_px: round_trip_px(&there, &back),
-            back_round_trip_px: round_trip_px(&back, &there),
-            there,
-            back,
+            forward_round_trip_px: round_trip_px(&forward, &backward),
+            backward_round_trip_px: round_trip_px(&backward, &forward),
+            forward,
+            backward,
         }
     }
 }
@@ -84,8 +84,8 @@ pub fn snap(mask: &CompactMask, image: &ScaledFrame) -> CompactMask {
     let sure = |(i, o): (&f32, &f32)| (i.max(*o) / RIM_PX).min(1.0).powi(2).max(UNKNOWN);
     let weight: Vec<f32> = inner.iter().zip(&outer).map(sure).collect();
     let smoother = Smoother::new(w, h, &image.rgb, EDGE_SIGMA);
-    let found = smoother.fill(&value, &weight, SMOOTH_LAMBDA).0;
-    CompactMask::from_fn(w, h, |x, y| found[y * w + x] > 0.0)
+    let field = smoother.fill(&value, &weight, SMOOTH_LAMBDA).0;
+    CompactMask::from_fn(w, h, |x, y| field[y * w + x] > 0.0)
 }
 
 /// The mask in the other frame, whose image is `onto`; `None` where too little of the thing
@@ -96,12 +96,12 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<Comp
     let mut ends: Option<[usize; 4]> = None;
     for (x, y) in mask.set_pixels() {
         let p = y * w + x;
-        let t = trust(step.there_round_trip_px[p]);
+        let t = trust(step.forward_round_trip_px[p]);
         area += 1.0;
         arrives += t;
         if t > 0.0 {
-            let qx = (x as f32 + step.there.u[p] + 0.5).max(0.0) as usize;
-            let qy = (y as f32 + step.there.v[p] + 0.5).max(0.0) as usize;
+            let qx = (x as f32 + step.forward.u[p] + 0.5).max(0.0) as usize;
+            let qy = (y as f32 + step.forward.v[p] + 0.5).max(0.0) as usize;
             let (qx, qy) = (qx.min(w - 1), qy.min(h - 1));
             let [x0, y0, x1, y1] = ends.unwrap_or([qx, qy, qx, qy]);
             ends = Some([x0.min(qx), y0.min(qy), x1.max(qx), y1.max(qy)]);
@@ -123,15 +123,15 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<Comp
         for x in 0..cw {
             let (i, q) = (y * cw + x, (y0 + y) * w + x0 + x);
             let (px, py) = (
-                (x0 + x) as f32 + step.back.u[q],
-                (y0 + y) as f32 + step.back.v[q],
+                (x0 + x) as f32 + step.backward.u[q],
+                (y0 + y) as f32 + step.backward.v[q],
             );
             value[i] = bilinear(w, h, &side, px, py);
-            weight[i] = trust(step.back_round_trip_px[q]).max(UNKNOWN);
+            weight[i] = trust(step.backward_round_trip_px[q]).max(UNKNOWN);
             guide[i] = onto.rgb[q];
         }
     }
-    let found = if cw > 1 && ch > 1 {
+    let field = if cw > 1 && ch > 1 {
         Smoother::new(cw, ch, &guide, EDGE_SIGMA)
             .fill(&value, &weight, SMOOTH_LAMBDA)
             .0
@@ -139,7 +139,7 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<Comp
         value
     };
     let inside = |x: usize, y: usize| {
-        x >= x0 && y >= y0 && x < x1 && y < y1 && found[(y - y0) * cw + x - x0] > 0.0
+        x >= x0 && y >= y0 && x < x1 && y < y1 && field[(y - y0) * cw + x - x0] > 0.0
     };
     let out = CompactMask::from_fn(w, h, inside);
     (out.count() as f32 >= (LEAST_SHARE * (w * h) as f32).max(1.0)).then_some(out)

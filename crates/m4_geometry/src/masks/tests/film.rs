@@ -134,8 +134,8 @@ pub fn iou(masks: impl Iterator<Item = CompactMask>) -> f64 {
     both as f64 / any as f64
 }
 
-pub fn iou_of(found: &Refined) -> f64 {
-    iou(found.frames.iter().map(|f| f.mask.clone()))
+pub fn iou_of(refined: &Refined) -> f64 {
+    iou(refined.frames.iter().map(|f| f.mask.clone()))
 }
 
 pub fn as_motion(maps: &[Plane<u8>]) -> Coarse<'_> {

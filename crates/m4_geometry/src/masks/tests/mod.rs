@@ -39,8 +39,8 @@ fn run_with(
 }
 
 /// The number at the middle of each thing.
-fn number(found: &Refined, thing: u8, frame: usize) -> u16 {
-    let plane = found.frames[frame].ids.to_plane();
+fn number(refined: &Refined, thing: u8, frame: usize) -> u16 {
+    let plane = refined.frames[frame].ids.to_plane();
     let mut counts = std::collections::BTreeMap::new();
     for (p, &id) in plane.data().iter().enumerate() {
         if thing_at(p % SIZE.0, p / SIZE.0, frame) == thing {
@@ -55,11 +55,11 @@ fn number(found: &Refined, thing: u8, frame: usize) -> u16 {
 
 /// The walker, what comes late and what leaves, each of one number from the frame in which it is
 /// seen.
-fn tracked(found: &Refined) -> [&InstanceRecord; 3] {
+fn tracked(refined: &Refined) -> [&InstanceRecord; 3] {
     let (walker, late, leaver) = (
-        number(found, 1, 0),
-        number(found, 2, FRAMES - 1),
-        number(found, 3, 0),
+        number(refined, 1, 0),
+        number(refined, 2, FRAMES - 1),
+        number(refined, 3, 0),
     );
     assert!(
         walker > 0
@@ -69,13 +69,13 @@ fn tracked(found: &Refined) -> [&InstanceRecord; 3] {
             && late != walker
             && late != leaver
     );
-    assert!((0..FRAMES).all(|i| number(found, 1, i) == walker));
+    assert!((0..FRAMES).all(|i| number(refined, 1, i) == walker));
     assert!(
-        (LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late),
+        (LATE_SEEN + 3..FRAMES).all(|i| number(refined, 2, i) == late),
         "{:#?}",
-        found.report
+        refined.report
     );
-    let records = [walker, late, leaver].map(|id| &found.report.instances[usize::from(id) - 1]);
+    let records = [walker, late, leaver].map(|id| &refined.report.instances[usize::from(id) - 1]);
     assert_eq!(records.map(|r| r.id), [walker, late, leaver]);
     // It is found when the masks show it, and followed back to where it came in.
     assert!(records[1].prompted_frame >= LATE_COARSE && records[1].first_frame < LATE_COARSE);
@@ -87,21 +87,21 @@ fn tracked(found: &Refined) -> [&InstanceRecord; 3] {
     records
 }
 
-fn check_things(found: &Refined, better_than: f64) {
-    let score = iou_of(found);
+fn check_things(refined: &Refined, better_than: f64) {
+    let score = iou_of(refined);
     assert!(
         score > better_than,
         "{score} {better_than} {:#?}",
-        found.report
+        refined.report
     );
-    assert_eq!(found.report.instances.len(), 3, "{:#?}", found.report);
-    let [walker, late, _] = tracked(found);
+    assert_eq!(refined.report.instances.len(), 3, "{:#?}", refined.report);
+    let [walker, late, _] = tracked(refined);
     assert_eq!(
         (late.ending, walker.ending, walker.frames),
         (Ending::ClipEnd, Ending::ClipEnd, FRAMES)
     );
     // The static thing was taken for dynamic at first, the ghost for a moment.
-    let reasons: Vec<&Rejection> = found.report.rejected.iter().map(|r| &r.reason).collect();
+    let reasons: Vec<&Rejection> = refined.report.rejected.iter().map(|r| &r.reason).collect();
     assert!(
         reasons
             .iter()
@@ -114,8 +114,8 @@ fn check_things(found: &Refined, better_than: f64) {
             .any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })),
         "{reasons:?}"
     );
-    assert!((0..FRAMES).all(|i| number(found, 4, i) == 0));
-    for frame in &found.frames {
+    assert!((0..FRAMES).all(|i| number(refined, 4, i) == 0));
+    for frame in &refined.frames {
         let ids = frame.ids.to_plane();
         assert!(
             (0..ids.data().len())
@@ -128,14 +128,14 @@ fn check_things(found: &Refined, better_than: f64) {
 fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
     let maps = motion_maps();
     let coarse = iou(coarse_masks().into_iter());
-    let found = run_with(&as_motion(&maps), Some(&hues), &settings(), &Silent).unwrap();
-    println!("coarse {coarse:.3}, refined {:.3}", iou_of(&found));
+    let refined = run_with(&as_motion(&maps), Some(&hues), &settings(), &Silent).unwrap();
+    println!("coarse {coarse:.3}, refined {:.3}", iou_of(&refined));
     assert!(coarse < 0.75, "{coarse}");
-    check_things(&found, 0.93);
+    check_things(&refined, 0.93);
     assert_eq!(
         (
-            found.report.segmenter.as_str(),
-            found.report.coarse.as_str()
+            refined.report.segmenter.as_str(),
+            refined.report.coarse.as_str()
         ),
         ("hues", "motion")
     );
@@ -146,13 +146,13 @@ fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
 #[test]
 fn flow_alone_follows_them_too() {
     let masks = coarse_masks();
-    let found = run_with(&as_masks(&masks), None, &settings(), &Silent).unwrap();
+    let refined = run_with(&as_masks(&masks), None, &settings(), &Silent).unwrap();
     println!(
         "coarse {:.3}, refined {:.3}",
         iou(coarse_masks().into_iter()),
-        iou_of(&found)
+        iou_of(&refined)
     );
-    let [walker, _, _] = tracked(&found);
+    let [walker, _, _] = tracked(&refined);
     // Its edge moved to the thing's: a disc of 14 px, where the coarse mask has one of 16.
     let true_share = 616.0 / 19_200.0;
     let share = walker.mean_area_share;
@@ -171,9 +171,10 @@ fn a_segmenter_that_grabs_the_background_is_not_believed() {
         run_with(coarse, Some(&grabber), &settings(), &Silent).unwrap()
     };
     for (corner_px, large) in [(1000, true), (20, false)] {
-        let found = run(&as_motion(&maps), corner_px);
+        let refined = run(&as_motion(&maps), corner_px);
         assert!(
-            found.report.instances.is_empty() && found.frames.iter().all(|f| f.mask.count() == 0)
+            refined.report.instances.is_empty()
+                && refined.frames.iter().all(|f| f.mask.count() == 0)
         );
         let right = |r: &Rejected| match r.reason {
             Rejection::TooLarge { share } => large && share == 1.0,
@@ -182,18 +183,18 @@ fn a_segmenter_that_grabs_the_background_is_not_believed() {
             _ => false,
         };
         assert!(
-            found.report.rejected.iter().all(right),
+            refined.report.rejected.iter().all(right),
             "{:?}",
-            found.report.rejected
+            refined.report.rejected
         );
-        assert!(found.report.rejected.len() > 5);
+        assert!(refined.report.rejected.len() > 5);
     }
     // Coarse masks are kept where nothing explains them, except for what is there for a moment.
     let masks = coarse_masks();
-    let found = run(&as_masks(&masks), 1000);
-    assert!(found.report.instances.is_empty() && found.report.unexplained_share > 0.0);
-    assert!(iou_of(&found) > iou(coarse_masks().into_iter()) - 0.02);
-    assert!(!found.frames[film::FLICKER].mask.at(80, 66) && masks[film::FLICKER].at(80, 66));
+    let refined = run(&as_masks(&masks), 1000);
+    assert!(refined.report.instances.is_empty() && refined.report.unexplained_share > 0.0);
+    assert!(iou_of(&refined) > iou(coarse_masks().into_iter()) - 0.02);
+    assert!(!refined.frames[film::FLICKER].mask.at(80, 66) && masks[film::FLICKER].at(80, 66));
 }
 
 /// Stops after some updates.
@@ -223,10 +224,10 @@ fn the_same_bits_for_any_number_of_threads() {
             .num_threads(threads)
             .build()
             .unwrap();
-        let found = pool
+        let refined = pool
             .install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent))
             .unwrap();
-        (found.frames, found.report)
+        (refined.frames, refined.report)
     };
     assert_eq!(all(1, Some(&hues)), all(3, Some(&hues)));
     assert_eq!(all(1, None), all(3, None));
@@ -334,9 +335,9 @@ fn objects_are_tracked_in_one_pass_per_direction() {
         (20, (16..=20).collect::<Vec<_>>()),
         (10, (10..15).rev().collect()),
     ] {
-        let found = followed(&mut session, &objects, 15, to);
-        assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), way);
-        for (frame, masks) in found {
+        let frames = followed(&mut session, &objects, 15, to);
+        assert_eq!(frames.iter().map(|f| f.0).collect::<Vec<_>>(), way);
+        for (frame, masks) in frames {
             assert_eq!(masks.iter().map(|m| m.object).collect::<Vec<_>>(), objects);
             for (mask, thing) in masks.iter().zip([2, 1]) {
                 let score = overlap(&mask.mask, &exactly(thing, frame));
@@ -363,9 +364,9 @@ fn prompts_are_kept_at_their_frame() {
     session.set_mask(0, WALKER, &exactly(1, 0)).unwrap();
     let other = exactly(2, 12);
     session.set_mask(12, WALKER, &other).unwrap();
-    let found = followed(&mut session, &[WALKER], 0, 13);
-    assert_eq!(found[11].1[0].mask, other);
-    assert!(overlap(&found[12].1[0].mask, &exactly(2, 13)) > 0.85);
+    let frames = followed(&mut session, &[WALKER], 0, 13);
+    assert_eq!(frames[11].1[0].mask, other);
+    assert!(overlap(&frames[12].1[0].mask, &exactly(2, 13)) > 0.85);
     let (w, h) = SIZE;
     let belief: Vec<f32> = (0..w * h).map(|p| p as f32 - 100.0).collect();
     let prompt = ObjectPrompt {

@@ -96,14 +96,14 @@ fn sample(width: usize, height: usize, plane: &[f32], x: f32, y: f32) -> f32 {
 /// `[height][width]`: how far a pixel lands from where it started after going there and back,
 /// pixels; the way back is 0 outside the frame. A flow that is not finite gives infinity.
 #[must_use]
-pub fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
-    let (w, h) = (there.width, there.height);
+pub fn round_trip_px(forward: &Flow, backward: &Flow) -> Vec<f32> {
+    let (w, h) = (forward.width, forward.height);
     let mut out = Vec::with_capacity(w * h);
     for i in 0..w * h {
-        let (u, v) = (there.u[i], there.v[i]);
+        let (u, v) = (forward.u[i], forward.v[i]);
         let (x, y) = ((i % w) as f32 + u, (i / w) as f32 + v);
-        let error = (u + sample(back.width, back.height, &back.u, x, y))
-            .hypot(v + sample(back.width, back.height, &back.v, x, y));
+        let error = (u + sample(backward.width, backward.height, &backward.u, x, y))
+            .hypot(v + sample(backward.width, backward.height, &backward.v, x, y));
         out.push(if error.is_finite() {
             error
         } else {
@@ -113,17 +113,17 @@ pub fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     out
 }
 
-/// `[height][width]`: whether a pixel of `there` counts. It does if it returns to within
+/// `[height][width]`: whether a pixel of `forward` counts. It does if it returns to within
 /// [`MAX_ROUND_TRIP_PX`] and lands inside the frame: a pixel that leaves meets a way back of 0,
 /// which a short way out would pass, and what is sampled out there is no disparity.
 #[must_use]
-pub fn consistency_mask(there: &Flow, back: &Flow) -> Vec<bool> {
-    let (w, h) = (there.width, there.height);
+pub fn consistency_mask(forward: &Flow, backward: &Flow) -> Vec<bool> {
+    let (w, h) = (forward.width, forward.height);
     let inside = |i: usize| {
-        let (x, y) = ((i % w) as f32 + there.u[i], (i / w) as f32 + there.v[i]);
+        let (x, y) = ((i % w) as f32 + forward.u[i], (i / w) as f32 + forward.v[i]);
         x >= 0.0 && y >= 0.0 && x <= (w - 1) as f32 && y <= (h - 1) as f32
     };
-    let errors = round_trip_px(there, back).into_iter().enumerate();
+    let errors = round_trip_px(forward, backward).into_iter().enumerate();
     errors
         .map(|(i, error)| error < MAX_ROUND_TRIP_PX && inside(i))
         .collect()
@@ -137,7 +137,7 @@ pub struct PairStore {
     height: usize,
     budget_bytes: usize,
     pairs: Vec<FramePair>,
-    seen: HashSet<FramePair>,
+    known_pairs: HashSet<FramePair>,
     /// The first pairs.
     memory: Vec<CompactFlow>,
     /// `unit_px` of the others, whose codes are in the file, one after the other.
@@ -155,7 +155,7 @@ impl PairStore {
             height,
             budget_bytes,
             pairs: Vec::new(),
-            seen: HashSet::new(),
+            known_pairs: HashSet::new(),
             memory: Vec::new(),
             spilled: Vec::new(),
             file: None,
@@ -180,14 +180,14 @@ impl PairStore {
     /// file cannot be written.
     pub fn push(&mut self, pair: FramePair, flow: &Flow, mask: &[bool]) -> Result<(), PairError> {
         let expected = self.width * self.height;
-        for (what, found) in [
+        for (what, count) in [
             ("flow x", flow.u.len()),
             ("flow y", flow.v.len()),
             ("mask", mask.len()),
         ] {
-            if found != expected {
+            if count != expected {
                 return Err(PairError::Input(format!(
-                    "{what} has {found} values where {expected} were expected; all frames must have one size"
+                    "{what} has {count} values where {expected} were expected; all frames must have one size"
                 )));
             }
         }
@@ -200,7 +200,7 @@ impl PairStore {
         if pair.source == pair.target {
             return reject("of one frame");
         }
-        if self.seen.contains(&pair) {
+        if self.known_pairs.contains(&pair) {
             return reject("there already");
         }
         let field = CompactFlow::encode(self.width, self.height, &flow.u, &flow.v, mask);
@@ -210,7 +210,7 @@ impl PairStore {
         } else {
             self.spill(&field)?;
         }
-        self.seen.insert(pair);
+        self.known_pairs.insert(pair);
         self.pairs.push(pair);
         Ok(())
     }

@@ -116,7 +116,7 @@ impl FactorGraph {
         frames: &[usize],
         make_room: bool,
     ) {
-        let known: HashSet<(usize, usize)> = self
+        let edges: HashSet<(usize, usize)> = self
             .active
             .iter()
             .chain(&self.inactive)
@@ -125,7 +125,7 @@ impl FactorGraph {
         let fresh: Vec<(usize, usize)> = pairs
             .iter()
             .copied()
-            .filter(|p| !known.contains(p))
+            .filter(|p| !edges.contains(p))
             .collect();
         if fresh.is_empty() {
             return;
@@ -230,8 +230,8 @@ impl FactorGraph {
         self.inactive.clear();
     }
 
-    /// Retires the oldest edges until `kept` are left.
-    fn make_room(&mut self, kept: usize) {
+    /// Retires the oldest edges until `n_kept` are left.
+    fn make_room(&mut self, n_kept: usize) {
         let mut order: Vec<usize> = (0..self.active.len()).collect();
         order.sort_by_key(|&k| self.active[k].age);
         let mut rank = vec![0; order.len()];
@@ -241,7 +241,7 @@ impl FactorGraph {
             rank = order;
         }
         let mut ranks = rank.into_iter();
-        self.retire(|_| ranks.next().is_some_and(|r| r >= kept));
+        self.retire(|_| ranks.next().is_some_and(|r| r >= n_kept));
     }
 }
 

@@ -252,13 +252,13 @@ impl Rays {
                 let x = r[(0, 0)] * rx[l] + r[(0, 1)] * ry[l] + r[(0, 2)] + t[0] * d[l];
                 let y = r[(1, 0)] * rx[l] + r[(1, 1)] * ry[l] + r[(1, 2)] + t[1] * d[l];
                 let z = r[(2, 0)] * rx[l] + r[(2, 1)] * ry[l] + r[(2, 2)] + t[2] * d[l];
-                let seen = z > MIN_DEPTH as f32 && l < count;
-                let iz = 1.0 / if seen { z } else { 1.0 };
+                let visible = z > MIN_DEPTH as f32 && l < count;
+                let iz = 1.0 / if visible { z } else { 1.0 };
                 let (du, dv) = (
                     focal[0] * x * iz + centre[0] - u[l],
                     focal[1] * y * iz + centre[1] - v[l],
                 );
-                let on = if seen { 1.0 } else { 0.0 };
+                let on = if visible { 1.0 } else { 0.0 };
                 length[l] = (du * du + dv * dv).sqrt() * on;
                 ok[l] = on;
             }

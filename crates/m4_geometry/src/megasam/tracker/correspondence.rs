@@ -83,12 +83,12 @@ pub trait Correspondence {
 }
 
 /// A clip has at least two frames.
-pub(super) fn check_count(found: usize) -> Result<(), TrackerError> {
-    if found >= 2 {
+pub(super) fn check_count(count: usize) -> Result<(), TrackerError> {
+    if count >= 2 {
         return Ok(());
     }
     Err(TrackerError::Input(format!(
-        "the clip has {found} frame(s); at least 2 are needed to observe motion"
+        "the clip has {count} frame(s); at least 2 are needed to observe motion"
     )))
 }
 

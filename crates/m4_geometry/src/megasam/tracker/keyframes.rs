@@ -75,8 +75,8 @@ impl Keyframes {
             let plane = &self.geometry.disparity[k];
             (plane.iter().map(|&d| f64::from(d)).sum::<f64>() / plane.len().max(1) as f64) as f32
         });
-        let known = input.sensor.iter().any(|&d| d > 0.0);
-        let rest = if known { UNKNOWN_DISPARITY } else { mean };
+        let has_depth = input.sensor.iter().any(|&d| d > 0.0);
+        let rest = if has_depth { UNKNOWN_DISPARITY } else { mean };
         let start = input.sensor.iter().map(|&d| if d > 0.0 { d } else { rest });
         self.geometry.disparity.push(start.collect());
         self.geometry.sensor.push(input.sensor.clone());

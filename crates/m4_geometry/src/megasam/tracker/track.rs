@@ -148,9 +148,9 @@ fn probe(
         Some(PROBE_ALPHA),
         progress,
     )?;
-    let seen = backend.observability(&copy)?;
+    let observability = backend.observability(&copy)?;
     backend.finish(source)?;
-    Ok(seen)
+    Ok(observability)
 }
 
 /// All frames: adjusted depth where there is some, otherwise that of the sensor.
@@ -188,8 +188,8 @@ pub fn fill(
     let mut poses: Vec<Option<Se3<f64>>> = frames
         .iter()
         .map(|f| {
-            let known = keyframes.frame.iter().position(|&k| k == f.frame);
-            known.map(|k| keyframes.geometry.poses[k])
+            let keyframe = keyframes.frame.iter().position(|&k| k == f.frame);
+            keyframe.map(|k| keyframes.geometry.poses[k])
         })
         .collect();
     let missing: Vec<usize> = (0..frames.len()).filter(|&k| poses[k].is_none()).collect();

@@ -226,11 +226,11 @@ fn observe(
                 continue;
             };
             if let Some(q) = pixel_at(w, h, (p % w) as f32 + u, (p / w) as f32 + v) {
-                let seen = beside
+                let counts = beside
                     .entry((label[p] as usize - 1, other as usize - 1))
                     .or_default();
-                seen.pixels += 1;
-                seen.hidden += usize::from(other_labels[q] == other);
+                counts.pixels += 1;
+                counts.hidden += usize::from(other_labels[q] == other);
             }
         }
     }
@@ -310,10 +310,10 @@ mod tests {
         let mut trip = vec![0.0; W * H];
         for p in 0..W * H {
             let (x, y) = ((p % W) as isize, p / W);
-            let seen = thing(x, y, t);
-            let step = velocity(seen) * (to as isize - t as isize);
+            let label = thing(x, y, t);
+            let step = velocity(label) * (to as isize - t as isize);
             flow.u[p] = step as f32;
-            if thing(x + step, y, to) != seen {
+            if thing(x + step, y, to) != label {
                 trip[p] = 10.0;
             }
         }
@@ -368,8 +368,8 @@ mod tests {
         let out = place(&world.clip.clip(), &world.shots);
         // In units of the background's.
         let ratios = |t: usize, of: Thing| -> Vec<f32> {
-            let found = (0..W * H).filter(|&p| thing((p % W) as isize, p / W, t) == of);
-            found
+            let pixels = (0..W * H).filter(|&p| thing((p % W) as isize, p / W, t) == of);
+            pixels
                 .map(|p| out[t][p] / world.clip.disparity[t][p])
                 .collect()
         };

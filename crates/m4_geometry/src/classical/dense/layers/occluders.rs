@@ -43,8 +43,8 @@ impl Occluders {
         let mut travel = vec![0.0f32; cw * ch];
         let mut covered = vec![false; cw * ch];
         for (i, moving) in clip.moving.iter().enumerate() {
-            let there = Pair::new(&clip.cameras[i], &camera);
-            let at = |p: usize| on_sphere(&there, p, w, (cw, ch));
+            let pair = Pair::new(&clip.cameras[i], &camera);
+            let at = |p: usize| on_sphere(&pair, p, w, (cw, ch));
             for p in (0..w * h).filter(|&p| moving[p] > 0) {
                 if let Some(q) = at(p) {
                     covered[q] = true;
@@ -90,10 +90,10 @@ impl Occluders {
         if self.occludes.is_empty() {
             return vec![false; w * h];
         }
-        let there = Pair::new(camera, &self.camera);
+        let pair = Pair::new(camera, &self.camera);
         let k = &self.camera.intrinsics;
         (0..w * h)
-            .map(|p| on_sphere(&there, p, w, (k.width, k.height)).is_some_and(|q| self.occludes[q]))
+            .map(|p| on_sphere(&pair, p, w, (k.width, k.height)).is_some_and(|q| self.occludes[q]))
             .collect()
     }
 }
@@ -115,9 +115,9 @@ fn canvas(camera: &Camera) -> Camera {
 
 /// Where another camera sees pixel `p` of rows of `w`, at about distance 1: an index into its
 /// `width` x `height` pixels, if it does.
-fn on_sphere(there: &Pair, p: usize, w: usize, (width, height): (usize, usize)) -> Option<usize> {
-    let seen = there.project((p % w) as f32, (p / w) as f32, 1.0);
-    pixel_at(width, height, seen.x, seen.y).filter(|_| seen.disparity > 0.0)
+fn on_sphere(pair: &Pair, p: usize, w: usize, (width, height): (usize, usize)) -> Option<usize> {
+    let target = pair.project((p % w) as f32, (p / w) as f32, 1.0);
+    pixel_at(width, height, target.x, target.y).filter(|_| target.disparity > 0.0)
 }
 
 /// Static pixels of frame `i` beside a dynamic one that stay so until the next frame, and how far
@@ -175,17 +175,17 @@ fn colours(clip: &Clip<'_>, shots: &[Shot], canvas: &Camera) -> Vec<[u8; 3]> {
         .map(|s| s * shots.len() / count)
         .map(|i| (&shots[i], Pair::new(canvas, &clip.cameras[i])))
         .collect();
-    let mut seen: Vec<[u8; 3]> = Vec::with_capacity(count);
+    let mut colours: Vec<[u8; 3]> = Vec::with_capacity(count);
     (0..k.width * k.height)
         .map(|q| {
-            seen.clear();
-            for (shot, there) in &chosen {
-                seen.extend(on_sphere(there, q, k.width, (w, h)).map(|p| shot.frame.rgb[p]));
+            colours.clear();
+            for (shot, pair) in &chosen {
+                colours.extend(on_sphere(pair, q, k.width, (w, h)).map(|p| shot.frame.rgb[p]));
             }
-            let middle = seen.len() / 2;
+            let middle = colours.len() / 2;
             std::array::from_fn(|c| {
-                seen.sort_unstable_by_key(|rgb| rgb[c]);
-                seen.get(middle).map_or(128, |rgb| rgb[c])
+                colours.sort_unstable_by_key(|rgb| rgb[c]);
+                colours.get(middle).map_or(128, |rgb| rgb[c])
             })
         })
         .collect()

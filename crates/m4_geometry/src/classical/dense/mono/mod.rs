@@ -66,11 +66,11 @@ pub(super) struct Mono {
 impl Mono {
     /// The disparity of a frame that is known without alignment, by pixel.
     fn metric(&self, i: usize) -> impl Iterator<Item = (usize, f32)> {
-        let known = self
+        let frame = self
             .frames
             .get(i)
             .filter(|_| matches!(self.kind, MonoKind::Metric(_)));
-        known
+        frame
             .into_iter()
             .flatten()
             .copied()
@@ -111,18 +111,18 @@ impl Mono {
         confidence: &[f32],
         moving: Option<&[u8]>,
     ) -> Option<Vec<f32>> {
-        let known = self.relative(i)?;
+        let relative = self.relative(i)?;
         let sure = |p: &usize| {
             confidence[*p] >= SURE
                 && moving.is_none_or(|m| m[*p] == 0)
-                && known[*p].is_finite()
+                && relative[*p].is_finite()
                 && disparity[*p] > 0.0
         };
-        let pair = |p: usize| (f64::from(known[p]), f64::from(disparity[p]));
-        let pairs: Vec<(f64, f64)> = (0..known.len()).filter(sure).map(pair).collect();
+        let pair = |p: usize| (f64::from(relative[p]), f64::from(disparity[p]));
+        let pairs: Vec<(f64, f64)> = (0..relative.len()).filter(sure).map(pair).collect();
         let fit = Fit::of(&pairs, self.kind == MonoKind::AffineDisparity)?;
         Some(
-            known
+            relative
                 .iter()
                 .map(|&v| fit.disparity(v).unwrap_or(f32::NAN))
                 .collect(),
@@ -179,10 +179,10 @@ impl Mono {
     /// middle distance of 1 has it.
     pub fn without_parallax(&self, i: usize, made_up: Vec<f32>) -> Vec<f32> {
         let mut out = made_up;
-        let Some(known) = self.relative(i) else {
+        let Some(relative) = self.relative(i) else {
             return out;
         };
-        let mut all: Vec<f64> = known
+        let mut all: Vec<f64> = relative
             .iter()
             .filter(|v| v.is_finite())
             .map(|&v| f64::from(v))
@@ -192,7 +192,7 @@ impl Mono {
                 scale: 1.0 / middle,
                 shift: 0.0,
             };
-            for (out, v) in out.iter_mut().zip(known) {
+            for (out, v) in out.iter_mut().zip(relative) {
                 *out = fit.disparity(*v).unwrap_or(*out);
             }
         }

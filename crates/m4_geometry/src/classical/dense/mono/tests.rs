@@ -47,7 +47,7 @@ fn moving() -> Vec<u8> {
 /// Stereo that saw the upper two thirds, with 1 % of noise, and was wrong in a fifth of that.
 fn measured() -> Measured {
     let mut rng = CounterRng::new(4, 0, 0);
-    let seen = |p: usize| p / W < 20 && !moves(p);
+    let is_visible = |p: usize| p / W < 20 && !moves(p);
     let disparity = (0..W * H).map(|p| {
         let wrong = if p % 5 == 0 { 1.6 } else { 1.0 };
         disparity(p) * wrong * (1.0 + 0.01 * rng.normal() as f32)
@@ -55,7 +55,7 @@ fn measured() -> Measured {
     Measured {
         disparity: disparity.collect(),
         confidence: (0..W * H)
-            .map(|p| if seen(p) { 1.0 } else { 0.0 })
+            .map(|p| if is_visible(p) { 1.0 } else { 0.0 })
             .collect(),
     }
 }
@@ -114,14 +114,16 @@ fn metric_depth_is_taken_as_it_is() {
     let mut out = vec![0.1; W * H];
     mono.overrule(1, &mut out);
     for p in 0..W * H {
-        let known = p % W != 3;
+        let has_depth = p % W != 3;
         assert_eq!(
             measured.confidence[p] == 1.0,
-            !moves(p) && (known || p / W < 20),
+            !moves(p) && (has_depth || p / W < 20),
             "{p}"
         );
-        assert!(!known || moves(p) || (measured.disparity[p] / disparity(p) - 1.0).abs() < 1e-6);
-        let want = if known { disparity(p) } else { 0.1 };
+        assert!(
+            !has_depth || moves(p) || (measured.disparity[p] / disparity(p) - 1.0).abs() < 1e-6
+        );
+        let want = if has_depth { disparity(p) } else { 0.1 };
         assert!((out[p] / want - 1.0).abs() < 1e-6, "{p}");
     }
     assert!(

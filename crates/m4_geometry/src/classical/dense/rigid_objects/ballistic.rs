@@ -219,7 +219,7 @@ pub(super) struct Parabola {
     /// Root mean square distance of the middles from it, pixels at the working size.
     pub residual_px: f64,
     /// Frames in which the whole object is seen.
-    pub seen: usize,
+    pub n_frames: usize,
     /// Standard deviation of the depth for a pixel of noise, as a share of it.
     pub depth_sigma: f64,
     /// The acceleration that fits best, and one over its variance for a pixel of noise.
@@ -310,7 +310,7 @@ impl Parabola {
             without_acceleration,
             per_acceleration,
             residual_px: (2.0 * off / rows.len() as f64).sqrt(),
-            seen: rows.len() / 2,
+            n_frames: rows.len() / 2,
             depth_sigma: ahead.dot(&(place * ahead)).sqrt(),
             best_acceleration: -cross / information.max(1e-30),
             information,

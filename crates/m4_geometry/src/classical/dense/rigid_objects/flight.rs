@@ -78,7 +78,7 @@ fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
             if depth_sigma.is_nan() || depth_sigma > MOST_DEPTH_SIGMA {
                 continue;
             }
-            let off = parabola.seen as f64 * (parabola.residual_px / noise).powi(2);
+            let off = parabola.n_frames as f64 * (parabola.residual_px / noise).powi(2);
             let here = cost[first] + off + PARABOLA_COST;
             if here < cost[end] {
                 (cost[end], last[end]) = (here, Some((first, parabola)));

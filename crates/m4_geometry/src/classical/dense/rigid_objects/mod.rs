@@ -88,7 +88,7 @@ pub(super) fn place<'s>(
     let mut values: Vec<Vec<(u32, f32)>> = vec![Vec::new(); disparity.len()];
     for ((tracklet, shape, _), scale) in bodies.iter().zip(&scales) {
         for (k, scale) in scale.iter().enumerate() {
-            values[tracklet.first + k].extend(shape.known(clip, k).map(|(p, d)| (p, d * scale)));
+            values[tracklet.first + k].extend(shape.values(clip, k).map(|(p, d)| (p, d * scale)));
         }
     }
     disparity
@@ -105,7 +105,7 @@ pub(super) fn place<'s>(
 /// Corrects the scales (by body and frame) of what flies.
 fn fall(clip: &Clip<'_>, ground: &ground::Ground, bodies: &[Body<'_>], scales: &mut [Vec<f32>]) {
     let typical = |shape: &rigid::Shape, k: usize| {
-        let mut all: Vec<f32> = shape.known(clip, k).map(|(_, d)| d).collect();
+        let mut all: Vec<f32> = shape.values(clip, k).map(|(_, d)| d).collect();
         quantile(&mut all, 0.5)
     };
     let depth: Vec<Vec<f64>> = bodies
@@ -127,7 +127,7 @@ fn fall(clip: &Clip<'_>, ground: &ground::Ground, bodies: &[Body<'_>], scales: &
         if flying.iter().all(Option::is_none) {
             continue;
         }
-        let known: Vec<Option<f32>> = flying
+        let factors: Vec<Option<f32>> = flying
             .iter()
             .enumerate()
             .map(|(k, z)| match z {
@@ -135,7 +135,7 @@ fn fall(clip: &Clip<'_>, ground: &ground::Ground, bodies: &[Body<'_>], scales: &
                 None => scale::standing(clip, tracklet, shape, k),
             })
             .collect();
-        scale::between(&known, scales);
+        scale::between(&factors, scales);
     }
 }
 

@@ -37,7 +37,7 @@ impl Shape {
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for (k, pose) in self.poses.iter().enumerate() {
             let (mut here, mut n) = (Vector3::zeros(), 0.0);
-            for (p, d) in self.known(clip, k) {
+            for (p, d) in self.values(clip, k) {
                 let (x, y) = (p as usize % clip.width, p as usize / clip.width);
                 here += ray(camera, x, y) / f64::from(d);
                 n += 1.0;
@@ -51,7 +51,7 @@ impl Shape {
     }
 
     /// The pixels of a frame with a value, and the value.
-    pub fn known<'a>(
+    pub fn values<'a>(
         &'a self,
         clip: &'a Clip<'_>,
         k: usize,
@@ -109,14 +109,14 @@ pub(super) fn reconstruct(
         })
         .collect();
     // Disparities count in units of the part's own, so that one prior fits near and far parts.
-    let known: Vec<f32> = sensor
+    let values: Vec<f32> = sensor
         .iter()
         .flatten()
         .copied()
         .filter(|d| *d > 0.0)
         .collect();
-    let unit = known.iter().sum::<f32>() / known.len().max(1) as f32;
-    if unit <= 0.0 || known.len() < LEAST_POINTS * frames {
+    let unit = values.iter().sum::<f32>() / values.len().max(1) as f32;
+    if unit <= 0.0 || values.len() < LEAST_POINTS * frames {
         return None;
     }
     let scaled = |camera: &Camera| {
@@ -194,8 +194,8 @@ pub(super) fn reconstruct(
 
 /// Draws disparities towards their median; [`RELIEF`] of what they differ by stays.
 fn flatten(disparity: &mut [f32]) {
-    let known = disparity.iter_mut().filter(|d| **d > 0.0);
-    let Some(median) = quantile(&mut known.map(|d| *d).collect::<Vec<_>>(), 0.5) else {
+    let values = disparity.iter_mut().filter(|d| **d > 0.0);
+    let Some(median) = quantile(&mut values.map(|d| *d).collect::<Vec<_>>(), 0.5) else {
         return;
     };
     disparity

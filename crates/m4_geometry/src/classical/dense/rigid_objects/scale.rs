@@ -31,10 +31,10 @@ const SLOPE_ROWS: usize = 6;
 pub(super) struct Reading {
     /// Its own disparity, before any factor: the median over frames.
     typical: f32,
-    /// At least this, by what the part hides and what lies under it.
+    /// The least factor, by what the part hides and what lies under it.
     bound: f32,
-    /// This, by the ground that it stands on, or because it stays where it is.
-    known: Option<f32>,
+    /// The factor by the ground that it stands on, or because it stays where it is.
+    factor: Option<f32>,
 }
 
 /// Reads the scale of one part.
@@ -66,7 +66,7 @@ pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Optio
     Some(Reading {
         typical,
         bound,
-        known: still.map(|(factor, _)| factor).or(touch),
+        factor: still.map(|(factor, _)| factor).or(touch),
     })
 }
 
@@ -75,13 +75,13 @@ pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Optio
 pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
     let mut near: Vec<f32> = readings
         .iter()
-        .filter_map(|r| r.known.map(|f| f * r.typical))
+        .filter_map(|r| r.factor.map(|f| f * r.typical))
         .collect();
     let near = quantile(&mut near, 0.5);
     let guess = |r: &Reading| near.map_or(r.bound, |d| r.bound.max(d / r.typical));
     readings
         .iter()
-        .map(|r| r.known.unwrap_or_else(|| guess(r)))
+        .map(|r| r.factor.unwrap_or_else(|| guess(r)))
         .collect()
 }
 
@@ -97,8 +97,8 @@ pub(super) fn standing(
 
 /// Fills what is not known between what is, evenly in ratios, and carries the first and the last
 /// on.
-pub(super) fn between(known: &[Option<f32>], out: &mut [f32]) {
-    let at: Vec<(usize, f32)> = known
+pub(super) fn between(factors: &[Option<f32>], out: &mut [f32]) {
+    let at: Vec<(usize, f32)> = factors
         .iter()
         .enumerate()
         .filter_map(|(k, v)| v.map(|v| (k, v)))
@@ -145,7 +145,7 @@ fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Optio
     let feet_from = bottom - ((bottom - top) as f32 * FEET_SHARE) as usize;
     let (mut feet, mut hidden, mut own, mut slope) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (p, d) in shape.known(clip, k) {
+    for (p, d) in shape.values(clip, k) {
         own.push(d);
         hidden.push(background[p as usize] / d);
         if row(p) + 2 >= feet_from && bottom + 1 + BELOW_PX < h {

@@ -37,7 +37,7 @@ fn heirs(clip: &Clip<'_>, from: (usize, &Components), to: (usize, &Components)) 
         .iter()
         .map(|pixels| {
             let mut hits = vec![0usize; to.pixels.len() + 1];
-            let mut seen = 0usize;
+            let mut count = 0usize;
             for &p in pixels {
                 let p = p as usize;
                 if trip[p] > ROUND_TRIP_PX {
@@ -46,14 +46,14 @@ fn heirs(clip: &Clip<'_>, from: (usize, &Components), to: (usize, &Components)) 
                 let x = ((p % w) as f32 + flow.u[p] + 0.5).max(0.0) as usize;
                 let y = ((p / w) as f32 + flow.v[p] + 0.5).max(0.0) as usize;
                 if x < w && y < h {
-                    seen += 1;
+                    count += 1;
                     hits[to.label[y * w + x] as usize] += 1;
                 }
             }
             let best = (1..hits.len())
                 .max_by_key(|&k| (hits[k], usize::MAX - k))
                 .unwrap_or(0);
-            if best > 0 && 2 * hits[best] > seen {
+            if best > 0 && 2 * hits[best] > count {
                 best
             } else {
                 0
@@ -79,13 +79,13 @@ pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
     for (t, now) in regions.iter().enumerate() {
         let mut next: Vec<Option<Tracklet>> = (0..now.pixels.len()).map(|_| None).collect();
         if let Some(before) = t.checked_sub(1).map(|t| &regions[t]) {
-            let (there, back) = &links[t - 1];
+            let (forward, backward) = &links[t - 1];
             for (a, tracklet) in open.drain(..).enumerate() {
                 let Some(mut tracklet) = tracklet else {
                     continue;
                 };
-                let b = there[a];
-                let mutual = b > 0 && back[b - 1] == a + 1;
+                let b = forward[a];
+                let mutual = b > 0 && backward[b - 1] == a + 1;
                 let (old, new) = (
                     before.pixels[a].len() as f32,
                     now.pixels.get(b.wrapping_sub(1)).map_or(0, Vec::len) as f32,
@@ -184,7 +184,7 @@ fn own(parts: &Components, fresh: &mut u32) -> Vec<u32> {
 fn next(
     clip: &Clip<'_>,
     parts: &Components,
-    known: &[u32],
+    labels: &[u32],
     (s, t): (usize, usize),
     least: usize,
     age: &BTreeMap<u32, usize>,
@@ -195,7 +195,7 @@ fn next(
         return own(parts, fresh);
     };
     let mut area: BTreeMap<u32, usize> = BTreeMap::new();
-    for &l in known.iter().filter(|l| **l > 0) {
+    for &l in labels.iter().filter(|l| **l > 0) {
         *area.entry(l).or_default() += 1;
     }
     let shortest = shortest(clip);
@@ -207,9 +207,9 @@ fn next(
         let mut all = 0usize;
         for &p in pixels {
             let p = p as usize;
-            let seen = pixel_at(w, h, (p % w) as f32 + flow.u[p], (p / w) as f32 + flow.v[p]);
-            if let Some(q) = seen.filter(|&q| trip[p] <= ROUND_TRIP_PX && known[q] > 0) {
-                out[p] = known[q];
+            let target = pixel_at(w, h, (p % w) as f32 + flow.u[p], (p / w) as f32 + flow.v[p]);
+            if let Some(q) = target.filter(|&q| trip[p] <= ROUND_TRIP_PX && labels[q] > 0) {
+                out[p] = labels[q];
                 *votes.entry(out[p]).or_default() += 1;
                 all += 1;
             }
@@ -220,12 +220,12 @@ fn next(
             .map(|(l, n)| (*l, *n));
         let alone = first.is_some_and(|(_, n)| n as f32 >= ALL_BUT * all as f32);
         // What was apart for a moment only is a flaw of the masks.
-        let kept = |l: u32, n: usize| {
+        let is_heir = |l: u32, n: usize| {
             n as f32 >= KEPT * area[&l] as f32
                 && (Some((l, n)) == first
                     || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= shortest))
         };
-        heirs.push(votes.into_iter().filter(|(l, n)| kept(*l, *n)).collect());
+        heirs.push(votes.into_iter().filter(|(l, n)| is_heir(*l, *n)).collect());
     }
     // A label that went to several parts stays with the one that has most of it.
     let mut most: BTreeMap<u32, (usize, usize)> = BTreeMap::new();
@@ -304,13 +304,13 @@ fn pairs(w: usize, h: usize, parts: &Components, a: &[u32], b: &[u32], least: us
         let whole = |(pair, n): (&(u32, u32), &usize)| {
             *n >= least && *n as f32 >= PAIR * of_a[&pair.0].min(of_b[&pair.1]) as f32
         };
-        let kept: BTreeMap<(u32, u32), u32> = count
+        let numbers: BTreeMap<(u32, u32), u32> = count
             .iter()
             .filter(|x| whole(*x))
             .map(|(pair, _)| *pair)
             .zip(regions.len() as u32 + 1..)
             .collect();
-        if kept.len() < 2 {
+        if numbers.len() < 2 {
             regions.push(pixels.clone());
             for &p in pixels {
                 label[p as usize] = regions.len() as u32;
@@ -319,11 +319,11 @@ fn pairs(w: usize, h: usize, parts: &Components, a: &[u32], b: &[u32], least: us
         }
         for &p in pixels {
             let p = p as usize;
-            label[p] = kept.get(&(a[p], b[p])).copied().unwrap_or(0);
+            label[p] = numbers.get(&(a[p], b[p])).copied().unwrap_or(0);
         }
         flood(w, h, parts, k, &mut label);
         let first = regions.len();
-        regions.resize(first + kept.len(), Vec::new());
+        regions.resize(first + numbers.len(), Vec::new());
         for &p in pixels {
             regions[label[p as usize] as usize - 1].push(p);
         }

@@ -119,16 +119,16 @@ impl Frame {
         let [low, high] = UNCERTAINTY.map(|u| u as f32);
         for y in 0..shape.height {
             let row = &self.disparity[y * shape.stride..][..shape.width];
-            let seen = &mut self.seen[shape.tap_row(y)..][..shape.width];
+            let disparity = &mut self.seen[shape.tap_row(y)..][..shape.width];
             for x in 0..shape.width {
                 let d = row[x] * scale + shift;
                 let d = if d > LOW { d } else { LOW };
-                seen[x] = if d < HIGH { d } else { HIGH };
+                disparity[x] = if d < HIGH { d } else { HIGH };
             }
         }
-        for (seen, &u) in self.seen_uncertainty.iter_mut().zip(&self.uncertainty) {
+        for (target, &u) in self.seen_uncertainty.iter_mut().zip(&self.uncertainty) {
             let u = if u > low { u } else { low };
-            *seen = if u < high { u } else { high };
+            *target = if u < high { u } else { high };
         }
     }
 
@@ -138,10 +138,10 @@ impl Frame {
     pub fn begin(&mut self, shape: Shape, scratch: &mut Scratch) {
         self.look(shape, 1.0, 0.0);
         for y in 0..shape.height {
-            let seen = &self.seen[shape.tap_row(y)..][..shape.width];
+            let disparity = &self.seen[shape.tap_row(y)..][..shape.width];
             let out = &mut self.log_initial[y * shape.stride..][..shape.width];
             for x in 0..shape.width {
-                out[x] = ln(seen[x]);
+                out[x] = ln(disparity[x]);
             }
         }
         scratch.surface.weighted_normals(
@@ -168,13 +168,13 @@ impl Frame {
 
         let mut total = 0.0;
         for y in 0..h {
-            let (seen, initial) = (
+            let (disparity, initial) = (
                 &self.seen[shape.tap_row(y)..][..w],
                 &self.log_initial[y * shape.stride..][..w],
             );
             let off = &mut scratch.off[y * shape.stride..][..w];
             for x in 0..w {
-                off[x] = initial[x] - ln(seen[x]);
+                off[x] = initial[x] - ln(disparity[x]);
             }
             total += sum(off);
         }
@@ -225,7 +225,7 @@ impl Frame {
         for y in 0..shape.height {
             let row = y * shape.stride..y * shape.stride + w;
             let taps = shape.tap_row(y)..shape.tap_row(y) + w;
-            let (seen, scatter) = (&self.seen[taps.clone()], &self.scatter[taps]);
+            let (scaled, scatter) = (&self.seen[taps.clone()], &self.scatter[taps]);
             let (source, pull) = (&self.by_disparity[row.clone()], &scratch.pull[row.clone()]);
             let normal = scratch.surface.by_depth(shape, y);
             let disparity = &mut self.disparity[row.clone()];
@@ -235,7 +235,7 @@ impl Frame {
                 Moves::Pixels => (1.0, 0.0),
             };
             for x in 0..w {
-                let depth = 1.0 / seen[x];
+                let depth = 1.0 / scaled[x];
                 let own = pull[x] + by_normal * normal[x] * depth;
                 let g = pair_scale * (source[x] + scatter[x]) - depth * own;
                 let raw = disparity[x] * raw_scale + raw_shift;

@@ -48,8 +48,8 @@ struct Pool {
 impl Pool {
     fn lend<T>(&self, work: impl FnOnce(&mut Scratch) -> T) -> T {
         let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
-        let taken = free().pop();
-        let mut scratch = taken.unwrap_or_else(|| Scratch::new(self.shape, &self.normal_lens));
+        let spare = free().pop();
+        let mut scratch = spare.unwrap_or_else(|| Scratch::new(self.shape, &self.normal_lens));
         let out = work(&mut scratch);
         free().push(scratch);
         out
@@ -282,11 +282,11 @@ pub(super) fn rounds(frames: usize, pairs: &[FramePair]) -> Vec<Vec<Task>> {
         let targets: Vec<usize> = task.pairs.iter().map(|&k| pairs[k].target).collect();
         let free = rounds
             .iter_mut()
-            .find(|(_, taken)| targets.iter().all(|t| !taken.contains(t)));
+            .find(|(_, round_targets)| targets.iter().all(|t| !round_targets.contains(t)));
         match free {
-            Some((tasks, taken)) => {
+            Some((tasks, round_targets)) => {
                 tasks.push(task);
-                taken.extend(targets);
+                round_targets.extend(targets);
             }
             None => rounds.push((vec![task], targets.into_iter().collect())),
         }
@@ -356,17 +356,17 @@ mod tests {
                 pairs.extend(&back);
             }
             let rounds = rounds(60, &pairs);
-            let mut seen = HashSet::new();
+            let mut indices = HashSet::new();
             for round in &rounds {
                 let mut targets = HashSet::new();
                 for task in round {
                     for &k in &task.pairs {
                         assert_eq!(pairs[k].source, task.source);
-                        assert!(seen.insert(k) && targets.insert(pairs[k].target));
+                        assert!(indices.insert(k) && targets.insert(pairs[k].target));
                     }
                 }
             }
-            assert_eq!(seen.len(), pairs.len());
+            assert_eq!(indices.len(), pairs.len());
             assert!(
                 rounds.len() <= if both { 30 } else { 8 },
                 "{} rounds",

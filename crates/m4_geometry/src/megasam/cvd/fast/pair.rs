@@ -93,12 +93,12 @@ pub(super) fn source<S: Simd>(
     let log_weight = ((weights.ratio + weights.flow) * LOG_WEIGHT) as f32;
     let mut sums = Sums::default();
     for y in 0..shape.height {
-        let seen = &source.seen[shape.tap_row(y)..][..shape.stride];
+        let disparity = &source.seen[shape.tap_row(y)..][..shape.stride];
         let plain = y * shape.stride..(y + 1) * shape.stride;
         let uncertainty = &source.uncertainty[plain.clone()];
-        for (depth, &seen) in rows.depth.iter_mut().zip(seen) {
+        for (depth, &disparity) in rows.depth.iter_mut().zip(disparity) {
             // the border holds zeros; its pixels never count
-            *depth = 1.0 / if seen > 0.0 { seen } else { 1.0 };
+            *depth = 1.0 / if disparity > 0.0 { disparity } else { 1.0 };
         }
         for row in [&mut rows.by_depth, &mut rows.errors, &mut rows.count] {
             row.fill(0.0);
@@ -254,12 +254,12 @@ fn sign<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
 
 /// The four taps of each pixel, mixed.
 #[inline(always)]
-fn read(tap_stride: usize, seen: &[f32], rows: &mut Rows) {
+fn read(tap_stride: usize, disparity: &[f32], rows: &mut Rows) {
     let n = rows.index.len();
     let (right, lower, sampled) = (&rows.right[..n], &rows.lower[..n], &mut rows.sampled[..n]);
     for x in 0..n {
         let at = rows.index[x] as usize;
-        let taps = &seen[at..at + tap_stride + 2];
+        let taps = &disparity[at..at + tap_stride + 2];
         let (r, l) = (right[x], lower[x]);
         let top = taps[0] + r * (taps[1] - taps[0]);
         let bottom = taps[tap_stride] + r * (taps[tap_stride + 1] - taps[tap_stride]);
@@ -306,8 +306,8 @@ fn compare<S: Simd>(
         };
         add(&mut rows.by_depth, share * by_z * turned);
         add(&mut rows.errors, share * error);
-        let kept = raw.simd_eq(sampled).select(share * slope * z, zero);
-        (kept * load(uncertainty)).store_slice(&mut rows.sampled[at..at + LANES]);
+        let gradient = raw.simd_eq(sampled).select(share * slope * z, zero);
+        (gradient * load(uncertainty)).store_slice(&mut rows.sampled[at..at + LANES]);
     }
 }
 

@@ -45,16 +45,16 @@ impl Scratch {
         }
     }
 
-    /// Blurs depth; `seen` is a bordered plane of disparity.
+    /// Blurs depth; `disparity` is a bordered plane.
     #[inline(always)]
-    fn blur(&mut self, shape: Shape, seen: &[f32]) {
+    fn blur(&mut self, shape: Shape, disparity: &[f32]) {
         let (w, h, k) = (shape.width, shape.height, blur_weights().map(|k| k as f32));
         for y in 0..h {
-            let seen = &seen[shape.tap_row(y)..][..w];
+            let disparity = &disparity[shape.tap_row(y)..][..w];
             let padded = &mut self.padded[..w + 4];
             let middle = &mut padded[2..w + 2];
             for x in 0..w {
-                middle[x] = 1.0 / seen[x];
+                middle[x] = 1.0 / disparity[x];
             }
             for side in [0, 1, w + 2, w + 3] {
                 padded[side] = padded[reflect(side as isize - 2, w) + 2];
@@ -132,11 +132,11 @@ impl Scratch {
     pub fn weighted_normals(
         &mut self,
         shape: Shape,
-        seen: &[f32],
+        disparity: &[f32],
         weight: &[f32],
         out: &mut [Vec<f32>; 3],
     ) {
-        self.blur(shape, seen);
+        self.blur(shape, disparity);
         let w = shape.width;
         for y in 0..shape.height {
             self.slopes(shape, y);
@@ -154,8 +154,8 @@ impl Scratch {
     /// The sum of `weight (1 - n . n_initial)` over the frame, given `weight n_initial`; leaves the
     /// gradient with respect to depth in the plane that [`Self::by_depth`] reads.
     #[inline(always)]
-    pub fn normal_term(&mut self, shape: Shape, seen: &[f32], wanted: &[Vec<f32>; 3]) -> f64 {
-        self.blur(shape, seen);
+    pub fn normal_term(&mut self, shape: Shape, disparity: &[f32], wanted: &[Vec<f32>; 3]) -> f64 {
+        self.blur(shape, disparity);
         let (w, h) = (shape.width, shape.height);
         for plane in &mut self.points {
             plane.fill(0.0);

@@ -286,13 +286,13 @@ pub fn descend<T: Real>(
     let mut adam = [Adam::new(frames), Adam::new(frames), Adam::new(start.len())];
     for _ in 0..steps[0] {
         let raw = affine(&start, &out.log_scale, &out.shift);
-        let seen = seen_disparity(&start, &out.log_scale, &out.shift);
+        let disparity = seen_disparity(&start, &out.log_scale, &out.shift);
         let u: Vec<T> = out
             .uncertainty
             .iter()
             .map(|&u| clamp(u, UNCERTAINTY))
             .collect();
-        let total = problem.total(&seen, &u, &WEIGHTS[0]);
+        let total = problem.total(&disparity, &u, &WEIGHTS[0]);
         out.losses[0].push(total.value);
         let (mut scale, mut shift) = (vec![T::zero(); frames], vec![T::zero(); frames]);
         for i in 0..raw.len() {
@@ -313,13 +313,13 @@ pub fn descend<T: Real>(
         .collect();
     let mut adam = [Adam::new(start.len()), Adam::new(start.len())];
     for _ in 0..steps[1] {
-        let seen: Vec<T> = out.disparity.iter().map(|&d| clamp(d, DISPARITY)).collect();
+        let disparity: Vec<T> = out.disparity.iter().map(|&d| clamp(d, DISPARITY)).collect();
         let u: Vec<T> = out
             .uncertainty
             .iter()
             .map(|&u| clamp(u, UNCERTAINTY))
             .collect();
-        let total = problem.total(&seen, &u, &WEIGHTS[1]);
+        let total = problem.total(&disparity, &u, &WEIGHTS[1]);
         out.losses[1].push(total.value);
         let by_disparity = gated(&out.disparity, &total.disparity, DISPARITY);
         let by_uncertainty = gated(&out.uncertainty, &total.uncertainty, UNCERTAINTY);

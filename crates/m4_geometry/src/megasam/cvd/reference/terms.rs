@@ -304,12 +304,12 @@ pub fn normal_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
         let range = frame * n..(frame + 1) * n;
         let disparity = &disparity[range.clone()];
         let wanted = normals(w, h, &problem.normal_lens, &problem.initial[range]);
-        let found = surface(w, h, &problem.normal_lens, disparity);
+        let surface = surface(w, h, &problem.normal_lens, disparity);
         let mut points = vec![Vector3::zeros(); n];
         for p in 0..n {
             let weight = problem.edge_weight[frame * n + p] / count;
-            let size = length(&found.normals[p]);
-            let unit = found.normals[p] / size;
+            let size = length(&surface.normals[p]);
+            let unit = surface.normals[p] / size;
             let cosine = unit.dot(&wanted[p]);
             term.value += weight * (T::one() - cosine);
             // of the unit vector with respect to the vector; a vector that was too short has no
@@ -321,8 +321,8 @@ pub fn normal_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
             };
             let normal = (lost - wanted[p]) * (weight / size);
             let along = [
-                found.along[1][p].cross(&normal),
-                normal.cross(&found.along[0][p]),
+                surface.along[1][p].cross(&normal),
+                normal.cross(&surface.along[0][p]),
             ];
             for (along, along_x) in along.iter().zip([true, false]) {
                 for (i, k) in sobel(w, h, p, along_x) {
@@ -332,7 +332,7 @@ pub fn normal_loss<T: Real>(problem: &Problem<T>, disparity: &[T]) -> Term<T> {
         }
         let mut depth = vec![T::zero(); n];
         for p in 0..n {
-            let smooth = found.rays[p].dot(&points[p]);
+            let smooth = surface.rays[p].dot(&points[p]);
             for (i, k) in blur_taps(w, h, p) {
                 depth[i] += smooth * T::of(k);
             }

@@ -139,10 +139,10 @@ fn normals_and_edge_weights_are_those_of_the_original() {
     let want = file.values("normals_init");
     for frame in 0..FRAMES {
         let initial = &p.initial[frame * n..(frame + 1) * n];
-        let found = normals(SIZE.0, SIZE.1, &p.normal_lens, initial);
+        let actual = normals(SIZE.0, SIZE.1, &p.normal_lens, initial);
         for i in 0..n {
             for c in 0..3 {
-                assert!((found[i][c] - want[(3 * frame + c) * n + i]).abs() < 1e-10);
+                assert!((actual[i][c] - want[(3 * frame + c) * n + i]).abs() < 1e-10);
             }
         }
         assert_eq!(
@@ -260,8 +260,8 @@ fn halved_flows_and_masks_are_those_of_the_original() {
         }
         got
     });
-    let [there, back] = &half;
-    let (error, want) = (round_trip_px(there, back), file.values("error"));
+    let [forward, backward] = &half;
+    let (error, want) = (round_trip_px(forward, backward), file.values("error"));
     // the original rounds positions to 1/32 pixel
     let steepest = (0..error.len())
         .map(|i| (f64::from(error[i]) - want[i]).abs())
@@ -272,10 +272,13 @@ fn halved_flows_and_masks_are_those_of_the_original() {
         .sum::<f64>()
         / error.len() as f64;
     assert!(mean < 0.01, "{mean}");
-    let (mask, want_mask) = (consistency_mask(there, back), file.values("mask"));
+    let (mask, want_mask) = (consistency_mask(forward, backward), file.values("mask"));
     let (mut compared, mut outside) = (0, 0);
     for i in 0..mask.len() {
-        let (x, y) = ((i % 32) as f32 + there.u[i], (i / 32) as f32 + there.v[i]);
+        let (x, y) = (
+            (i % 32) as f32 + forward.u[i],
+            (i / 32) as f32 + forward.v[i],
+        );
         if !(0.0..=31.0).contains(&x) || !(0.0..=23.0).contains(&y) {
             outside += 1;
             assert!(!mask[i], "a pixel that leaves the frame counts");
@@ -299,15 +302,15 @@ fn halved_flows_and_masks_are_those_of_the_original() {
 
 #[test]
 fn nan_pixels_are_ignored() {
-    let mut there = Flow {
+    let mut forward = Flow {
         width: 4,
         height: 3,
         u: vec![0.0; 12],
         v: vec![0.0; 12],
     };
-    let back = there.clone();
-    there.u[5] = f32::NAN;
-    there.v[6] = f32::INFINITY;
-    let mask = consistency_mask(&there, &back);
+    let backward = forward.clone();
+    forward.u[5] = f32::NAN;
+    forward.v[6] = f32::INFINITY;
+    let mask = consistency_mask(&forward, &backward);
     assert_eq!((0..12).filter(|&i| !mask[i]).collect::<Vec<_>>(), [5, 6]);
 }

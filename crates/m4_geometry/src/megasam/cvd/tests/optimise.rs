@@ -67,7 +67,7 @@ fn clip(unit: f64, moves: impl Fn(usize) -> bool) -> Clip {
         .collect();
     let mut pairs = PairStore::new(w, h, usize::MAX);
     for pair in pair_list(FRAMES) {
-        let there = c2w[pair.target].inverse().compose(&c2w[pair.source]);
+        let target_from_source = c2w[pair.target].inverse().compose(&c2w[pair.source]);
         let mut flow = Flow {
             width: w,
             height: h,
@@ -76,7 +76,7 @@ fn clip(unit: f64, moves: impl Fn(usize) -> bool) -> Clip {
         };
         let mut mask = Vec::new();
         for p in 0..w * h {
-            let point = there.transform(&(ray(p) / truth[pair.source][p]));
+            let point = target_from_source.transform(&(ray(p) / truth[pair.source][p]));
             let off = if moves(p) { 4.0 } else { 0.0 };
             let u = k.fx * point.x / point.z + k.cx - 0.5 - off;
             let v = k.fy * point.y / point.z + k.cy - 0.5 + off;
@@ -121,16 +121,16 @@ fn even() -> Vec<Plane<f32>> {
 /// Mean of |depth - truth| / truth, without any alignment.
 fn abs_rel(clip: &Clip, disparity: &[Plane<f32>], keep: impl Fn(usize) -> bool) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for (truth, found) in clip.truth.iter().zip(disparity) {
+    for (truth, estimate) in clip.truth.iter().zip(disparity) {
         for p in (0..truth.len()).filter(|&p| keep(p)) {
-            sum += (truth[p] / f64::from(found.data()[p]) - 1.0).abs();
+            sum += (truth[p] / f64::from(estimate.data()[p]) - 1.0).abs();
             count += 1.0;
         }
     }
     sum / count
 }
 
-fn found(clip: &Clip, steps: [usize; 2]) -> ConsistentDepth {
+fn optimised(clip: &Clip, steps: [usize; 2]) -> ConsistentDepth {
     optimise(&input(clip, &even()), &clip.pairs, steps, &Silent).unwrap()
 }
 
@@ -138,14 +138,14 @@ fn found(clip: &Clip, steps: [usize; 2]) -> ConsistentDepth {
 fn frames_agree_with_the_poses_in_their_unit() {
     let clip = clip(1.0, |_| false);
     let before = abs_rel(&clip, &clip.start, |_| true);
-    let found = found(&clip, CVD_STEPS);
-    let after = abs_rel(&clip, &found.disparity, |_| true);
+    let result = optimised(&clip, CVD_STEPS);
+    let after = abs_rel(&clip, &result.disparity, |_| true);
     assert!(
         before > 0.06 && after < 0.35 * before,
         "{before} to {after}"
     );
-    assert!(found.losses[1][399] < found.losses[0][0]);
-    assert_eq!((found.scale.len(), found.shift.len()), (FRAMES, FRAMES));
+    assert!(result.losses[1][399] < result.losses[0][0]);
+    assert_eq!((result.scale.len(), result.shift.len()), (FRAMES, FRAMES));
     // the first stage undoes most of each frame's factor
     for (i, truth) in clip.truth.iter().enumerate() {
         let n = truth.len() as f64;
@@ -155,7 +155,7 @@ fn frames_agree_with_the_poses_in_their_unit() {
             .map(|&d| f64::from(d))
             .sum::<f64>()
             / n;
-        let settled = found.scale[i] * mean + found.shift[i];
+        let settled = result.scale[i] * mean + result.shift[i];
         assert!(
             (settled * n / truth.iter().sum::<f64>() - 1.0).abs() < 0.06,
             "frame {i}"
@@ -165,7 +165,8 @@ fn frames_agree_with_the_poses_in_their_unit() {
 
 #[test]
 fn another_unit_of_length_changes_nothing_but_the_unit() {
-    let [metres, millimetres] = [1.0, 1000.0].map(|unit| found(&clip(unit, |_| false), [10, 10]));
+    let [metres, millimetres] =
+        [1.0, 1000.0].map(|unit| optimised(&clip(unit, |_| false), [10, 10]));
     for (a, b) in metres.disparity.iter().zip(&millimetres.disparity) {
         for (a, b) in a.data().iter().zip(b.data()) {
             assert!((a - 1000.0 * b).abs() < 0.01 * a, "{a} {b}");
@@ -182,9 +183,9 @@ fn another_unit_of_length_changes_nothing_but_the_unit() {
 fn dynamic_pixels_get_low_u_and_static_depth_is_unchanged() {
     let moves = |p: usize| (18..32).contains(&(p % SIZE.0)) && (12..26).contains(&(p / SIZE.0));
     let clip = clip(1.0, moves);
-    let found = found(&clip, [100, 300]);
+    let result = optimised(&clip, [100, 300]);
     let mean = |keep: &dyn Fn(usize) -> bool| {
-        let kept: Vec<f32> = found
+        let values: Vec<f32> = result
             .uncertainty
             .iter()
             .take(5)
@@ -196,14 +197,14 @@ fn dynamic_pixels_get_low_u_and_static_depth_is_unchanged() {
                     .map(|(_, u)| *u)
             })
             .collect();
-        f64::from(kept.iter().sum::<f32>()) / kept.len() as f64
+        f64::from(values.iter().sum::<f32>()) / values.len() as f64
     };
     let (moving, still) = (mean(&moves), mean(&|p| !moves(p)));
     assert!(
         moving < 0.5 * still,
         "u {moving} where it moves, {still} where it is static"
     );
-    let rest = abs_rel(&clip, &found.disparity, |p| !moves(p));
+    let rest = abs_rel(&clip, &result.disparity, |p| !moves(p));
     assert!(
         rest < 0.5 * abs_rel(&clip, &clip.start, |p| !moves(p)),
         "{rest}"
