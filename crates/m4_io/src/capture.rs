@@ -377,7 +377,7 @@ fn images(
 /// Scene units per step of depth maps: the finest with which the farthest depth fits, unless the
 /// near would become coarse.
 fn depth_unit(capture: &Capture) -> f64 {
-    let mut known: Vec<f32> = capture
+    let mut depth_samples: Vec<f32> = capture
         .frames
         .iter()
         .filter_map(|f| f.depth.as_ref())
@@ -391,10 +391,10 @@ fn depth_unit(capture: &Capture) -> f64 {
         .filter_map(|f| f.depth.as_ref())
         .flat_map(|d| d.every(1));
     let farthest = depths.filter(|z| z.is_finite()).fold(0.0, f32::max);
-    if known.is_empty() || farthest <= 0.0 {
+    if depth_samples.is_empty() || farthest <= 0.0 {
         return 1e-3;
     }
-    known.sort_by(f32::total_cmp);
-    let near = f64::from(known[known.len() / 100]);
+    depth_samples.sort_by(f32::total_cmp);
+    let near = f64::from(depth_samples[depth_samples.len() / 100]);
     (f64::from(farthest) / MAX_STEPS).min(near / MIN_STEPS)
 }

@@ -99,15 +99,15 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
 
     let wrong = |e: m4_core::ShapeError| Fault::bad(e.to_string(), HINT);
     let visible = visible.iter().map(|&b| b != 0).collect();
-    let mut made = Tracks::new(frames, tracks, xyz, visible).map_err(wrong)?;
+    let mut tracks3d = Tracks::new(frames, tracks, xyz, visible).map_err(wrong)?;
     if let Some(confidence) = confidence {
-        made = made.with_confidence_steps(confidence).map_err(wrong)?;
+        tracks3d = tracks3d.with_confidence_steps(confidence).map_err(wrong)?;
     }
     match colours {
-        Some(rgb) => made
+        Some(rgb) => tracks3d
             .with_colours(rgb.as_chunks::<3>().0.to_vec())
             .map_err(wrong),
-        None => Ok(made),
+        None => Ok(tracks3d),
     }
 }
 

@@ -16,7 +16,7 @@ use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
 
-fn made(frames: usize) -> Capture {
+fn test_capture(frames: usize) -> Capture {
     let pose = |i: usize| {
         let a = i as f64 * 0.1;
         Se3::identity().retract(&Vector6::new(a, -0.3, 2.0 + a, 0.2 * a, 0.7, -a))
@@ -67,7 +67,7 @@ fn made(frames: usize) -> Capture {
 #[test]
 fn captures_round_trip() {
     let dir = tempfile::tempdir().unwrap();
-    let capture = made(5);
+    let capture = test_capture(5);
     write(dir.path(), &capture, Split::Train, &Silent).unwrap();
     let got = read(
         dir.path(),
@@ -100,7 +100,7 @@ fn captures_round_trip() {
         }
     }
     // Again over the same folder, with fewer frames.
-    write(dir.path(), &made(3), Split::Train, &Silent).unwrap();
+    write(dir.path(), &test_capture(3), Split::Train, &Silent).unwrap();
     let file = dir.path().join("transforms_train.json");
     assert_eq!(
         read(&file, Split::Train, &CaptureOptions::default(), &Silent)
@@ -115,7 +115,7 @@ fn captures_round_trip() {
 fn a_capture_whose_replacement_was_interrupted_is_read() {
     let dir = tempfile::tempdir().unwrap();
     let next = dir.path().join(".minute4d-capture-done");
-    write(&next, &made(5), Split::Train, &Silent).unwrap();
+    write(&next, &test_capture(5), Split::Train, &Silent).unwrap();
     let got = read(
         dir.path(),
         Split::Train,
@@ -130,8 +130,8 @@ fn a_capture_whose_replacement_was_interrupted_is_read() {
 #[test]
 fn test_views_are_timed_by_the_training_split() {
     let dir = tempfile::tempdir().unwrap();
-    write(dir.path(), &made(5), Split::Train, &Silent).unwrap();
-    let mut test = made(2);
+    write(dir.path(), &test_capture(5), Split::Train, &Silent).unwrap();
+    let mut test = test_capture(2);
     test.time_frames = 5;
     test.frames[0].camera_index = Some(0);
     test.frames[1].camera_index = Some(1);

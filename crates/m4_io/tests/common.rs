@@ -28,14 +28,14 @@ pub fn without_ffmpeg() -> VideoOptions {
 /// True when ffmpeg can be started; else the test is listed as skipped.
 #[track_caller]
 pub fn have_ffmpeg() -> bool {
-    let there = Command::new("ffmpeg")
+    let available = Command::new("ffmpeg")
         .arg("-version")
         .output()
         .is_ok_and(|o| o.status.success());
-    if !there {
+    if !available {
         skip(Need::Ffmpeg, "ffmpeg is not on the PATH");
     }
-    there
+    available
 }
 
 /// True when ffmpeg can be started and has the encoder `name`; else the test, or that part of it,
@@ -48,18 +48,18 @@ pub fn have_encoder(name: &str) -> bool {
     let listed = Command::new("ffmpeg")
         .args(["-v", "error", "-encoders"])
         .output();
-    let there = listed.is_ok_and(|o| {
+    let available = listed.is_ok_and(|o| {
         let text = String::from_utf8_lossy(&o.stdout);
         text.lines()
             .any(|line| line.split_whitespace().nth(1) == Some(name))
     });
-    if !there {
+    if !available {
         skip(
             Need::Ffmpeg,
             &format!("this build of ffmpeg has no encoder {name}"),
         );
     }
-    there
+    available
 }
 
 /// Runs ffmpeg with arguments separated by spaces, then `output`; false where this build of ffmpeg

@@ -51,19 +51,22 @@ fn same(a: &Video, b: &Video) -> bool {
 #[test]
 fn child_process_decodes_identical_frames() {
     let options = options(DecoderLimits::default());
-    let here = read_with(None, &pinwheel(), &options, &Silent).unwrap();
-    let there = read_with(Some(&program()), &pinwheel(), &options, &Silent).unwrap();
-    assert_eq!((here.frames.len(), &here.warnings), (96, &there.warnings));
-    assert!(same(&here, &there));
+    let local = read_with(None, &pinwheel(), &options, &Silent).unwrap();
+    let isolated = read_with(Some(&program()), &pinwheel(), &options, &Silent).unwrap();
+    assert_eq!(
+        (local.frames.len(), &local.warnings),
+        (96, &isolated.warnings)
+    );
+    assert!(same(&local, &isolated));
     let part = VideoOptions {
         max_frames: Some(7),
         start_s: Some(1.0),
         size: Some(200),
         ..options
     };
-    let here = read_with(None, &pinwheel(), &part, &Silent).unwrap();
-    let there = read_with(Some(&program()), &pinwheel(), &part, &Silent).unwrap();
-    assert!(same(&here, &there) && here.frames.len() == 7);
+    let local = read_with(None, &pinwheel(), &part, &Silent).unwrap();
+    let isolated = read_with(Some(&program()), &pinwheel(), &part, &Silent).unwrap();
+    assert!(same(&local, &isolated) && local.frames.len() == 7);
 }
 
 /// The example with some bytes of its coded images, and now and then of its index, replaced.
@@ -96,8 +99,8 @@ fn damaged_clips_never_crash_the_parent() {
     let (mut whole_clips, mut with_warnings, mut refused) = (0, 0, 0);
     for case in 0..160 {
         std::fs::write(&path, damaged(case, &original, mdat)).unwrap();
-        let there = read_with(Some(&program()), &path, &part, &Silent);
-        match &there {
+        let isolated = read_with(Some(&program()), &path, &part, &Silent);
+        match &isolated {
             Ok(video) if video.warnings.is_empty() => whole_clips += 1,
             Ok(_) => with_warnings += 1,
             // A crash of OpenH264 would be one of these.
@@ -113,26 +116,26 @@ fn damaged_clips_never_crash_the_parent() {
             }
         }
         // What the child survived, this process does too.
-        if let Err(e) = &there
+        if let Err(e) = &isolated
             && matches!(e.fault, Fault::Decoder { .. })
         {
             eprintln!("case {case}: {e}");
             continue;
         }
-        match (there, read_with(None, &path, &part, &Silent)) {
-            (Ok(there), Ok(here)) => {
+        match (isolated, read_with(None, &path, &part, &Silent)) {
+            (Ok(isolated), Ok(local)) => {
                 assert!(
-                    same(&there, &here) && there.warnings == here.warnings,
+                    same(&isolated, &local) && isolated.warnings == local.warnings,
                     "case {case}"
                 );
             }
-            (Err(there), Err(here)) => {
-                assert_eq!(there.to_string(), here.to_string(), "case {case}")
+            (Err(isolated), Err(local)) => {
+                assert_eq!(isolated.to_string(), local.to_string(), "case {case}")
             }
-            (there, here) => panic!(
+            (isolated, local) => panic!(
                 "case {case}: {:?} there, {:?} here",
-                there.err(),
-                here.err()
+                isolated.err(),
+                local.err()
             ),
         }
     }
@@ -175,10 +178,10 @@ fn with_fake(
 #[cfg(unix)]
 #[track_caller]
 fn assert_end(how: &DecoderEnd, want: &str, case: &str) {
-    let found = format!("{how:?}");
+    let actual = format!("{how:?}");
     assert!(
-        found.starts_with(want),
-        "{found} where {want} was expected: {case}"
+        actual.starts_with(want),
+        "{actual} where {want} was expected: {case}"
     );
 }
 

@@ -109,20 +109,20 @@ fn ffmpeg_gets_no_secret_no_privilege_and_few_files() {
 struct Watch<'a> {
     /// The program of the child.
     file: &'a Path,
-    found: Mutex<Option<Facts>>,
+    facts: Mutex<Option<Facts>>,
 }
 
 impl Progress for Watch<'_> {
     fn update(&self, _: &str, _: usize, _: usize, _: &str) {
-        let mut found = self.found.lock().unwrap();
+        let mut facts = self.facts.lock().unwrap();
         let processes = fs::read_dir("/proc")
             .unwrap()
             .flatten()
             .map(|entry| entry.path());
         let mut ours =
             processes.filter(|p| fs::read_link(p.join("exe")).is_ok_and(|exe| exe == self.file));
-        if let (None, Some(process)) = (&*found, ours.next()) {
-            *found = Some(Facts::read(&process));
+        if let (None, Some(process)) = (&*facts, ours.next()) {
+            *facts = Some(Facts::read(&process));
         }
     }
     fn warn(&self, _: &str) {}
@@ -145,7 +145,7 @@ fn our_own_decoder_gets_no_secret_no_privilege_and_no_file() {
     assert!(copied.success());
     let watch = Watch {
         file: &file,
-        found: Mutex::new(None),
+        facts: Mutex::new(None),
     };
     let options = VideoOptions {
         size: Some(64),
@@ -154,7 +154,7 @@ fn our_own_decoder_gets_no_secret_no_privilege_and_no_file() {
     let program = DecoderProgram::new(&file, "decode");
     let video = read_with(Some(&program), &pinwheel(), &options, &watch).unwrap();
     assert_eq!((video.frames.len(), video.warnings.len()), (96, 0));
-    let facts = watch.found.into_inner().unwrap().unwrap();
+    let facts = watch.facts.into_inner().unwrap().unwrap();
     facts.check(3, false);
     assert_eq!(facts.limit("Max processes"), Some(0));
 }

@@ -303,12 +303,12 @@ fn changed(path: &Path, array: &str, change: impl FnOnce(&mut [u8])) -> String {
             .unwrap()
             .to_owned()
     };
-    let (found, written) = (word("its checksum is "), word(" where "));
+    let (actual, written) = (word("its checksum is "), word(" where "));
     let at = bytes
         .windows(written.len())
         .position(|w| w == written.as_bytes())
         .unwrap();
-    bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
+    bytes[at..at + actual.len()].copy_from_slice(actual.as_bytes());
     std::fs::write(path, &bytes).unwrap();
     match read(path) {
         Ok(_) => "read".to_owned(),

@@ -12,7 +12,7 @@ use std::path::Path;
 const LIMIT: u64 = 1 << 20;
 
 /// Track `k` is at `(k, frame, 2)` where `k + frame` is not a multiple of 3, and unseen in frame 1.
-fn made(frames: usize, count: usize) -> Tracks {
+fn test_tracks(frames: usize, count: usize) -> Tracks {
     let place = |i: usize| {
         let (t, k) = (i / count, i % count);
         if (t + k).is_multiple_of(3) {
@@ -49,7 +49,7 @@ fn same(a: &Tracks, b: &Tracks) {
 #[test]
 fn tracks_round_trip_exactly() {
     let (_dir, path) = temporary("tracks.npz");
-    let plain = made(5, 7);
+    let plain = test_tracks(5, 7);
     write(&path, &plain).unwrap();
     same(&read(&path, 5, LIMIT).unwrap(), &plain);
     let first = fs::read(&path).unwrap();
@@ -216,7 +216,7 @@ fn capture_with(tracks: Option<Tracks>) -> Capture {
 #[test]
 fn capture_tracks_round_trip_and_follow_their_frames() {
     let dir = tempfile::tempdir().unwrap();
-    let tracks = made(4, 6);
+    let tracks = test_tracks(4, 6);
     let again = || {
         capture::read(
             dir.path(),
@@ -257,7 +257,7 @@ fn capture_tracks_round_trip_and_follow_their_frames() {
     assert_eq!(again().unwrap().tracks, None);
     let other = capture::write(
         dir.path(),
-        &capture_with(Some(made(3, 6))),
+        &capture_with(Some(test_tracks(3, 6))),
         Split::Train,
         &Silent,
     );

@@ -52,9 +52,10 @@ fn read_in(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, Faul
         let array = Numbers::read(path, MAX_MAP_BYTES)?;
         let (h, w) = array.map_size()?;
         let unit = if array.whole { unit } else { float_unit };
-        return Ok(
-            Plane::from_fn(w, h, |x, y| known((array.values[y * w + x] * unit) as f32)).into(),
-        );
+        return Ok(Plane::from_fn(w, h, |x, y| {
+            depth_in_range((array.values[y * w + x] * unit) as f32)
+        })
+        .into());
     }
     if start.is_empty() {
         // says what the system says, or that there is nothing in it
@@ -72,11 +73,12 @@ fn in_unit(map: DepthMap, unit: f64) -> CompactDepth {
     if unit == 1.0 {
         return map.into();
     }
-    map.map(|&z| known((f64::from(z) * unit) as f32)).into()
+    map.map(|&z| depth_in_range((f64::from(z) * unit) as f32))
+        .into()
 }
 
-/// Depth, 0 where it is out of range: not known.
-pub(crate) fn known(z: f32) -> f32 {
+/// A depth; 0, for none, if it is out of range.
+pub(crate) fn depth_in_range(z: f32) -> f32 {
     if DEPTH.contains(&f64::from(z)) {
         z
     } else {
@@ -117,14 +119,14 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, Fault> {
         .fold(0, u64::saturating_add);
     within_memory("the pixels", needed, bytes.len() as u64)?;
     let (wanted, header) = depth_channel(&meta)?;
-    let (seen, whole) = (
+    let (data_size, whole) = (
         header.layer_size,
         header.shared_attributes.display_window.size,
     );
-    if seen != whole {
+    if data_size != whole {
         let what = format!(
             "it holds {} x {} pixels of an image of {} x {}",
-            seen.0, seen.1, whole.0, whole.1
+            data_size.0, data_size.1, whole.0, whole.1
         );
         return Err(Fault::unsupported(what, "export the whole image"));
     }
@@ -135,7 +137,7 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, Fault> {
         .required(wanted.as_str())
         .collect_pixels(
             |size, _| Plane::filled(size.width(), size.height(), 0.0f32),
-            |plane: &mut DepthMap, at, (z,): (f32,)| plane[(at.x(), at.y())] = known(z),
+            |plane: &mut DepthMap, at, (z,): (f32,)| plane[(at.x(), at.y())] = depth_in_range(z),
         )
         .first_valid_layer()
         .all_attributes()
@@ -166,8 +168,8 @@ fn depth_channel(meta: &MetaData) -> Result<(String, &Header), Fault> {
             .to_ascii_lowercase()
     };
     let named = |want: &&str| channels().find(|(name, _)| last(name) == want.to_ascii_lowercase());
-    if let Some(found) = CHANNELS.iter().find_map(named) {
-        return Ok(found);
+    if let Some(channel) = CHANNELS.iter().find_map(named) {
+        return Ok(channel);
     }
     let all: Vec<(String, &Header)> = channels().take(MAX_NAMED).collect();
     if let [(name, header)] = all.as_slice() {

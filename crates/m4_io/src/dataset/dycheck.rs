@@ -112,19 +112,19 @@ pub(crate) fn list(
 
 fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadError> {
     let file = path.join("extra.json");
-    let given = given_fps(options).at(path)?;
+    let option_fps = given_fps(options).at(path)?;
     let own = if file.is_file() {
         json::<Extra>(&file)?.fps
     } else {
         None
     };
-    if own.or(given).is_none() {
+    if own.or(option_fps).is_none() {
         progress.warn(&format!(
             "{} does not state its frame rate; 30 frames per second are assumed",
             path.display()
         ));
     }
-    let fps = own.or(given).unwrap_or(DEFAULT_FPS);
+    let fps = own.or(option_fps).unwrap_or(DEFAULT_FPS);
     fps_of("fps", fps).at(&file)
 }
 
@@ -365,15 +365,15 @@ pub(super) fn unit_of_depth(
 ) -> Result<Option<Unit>, ReadError> {
     let folder = root.join(format!("depth/{factor}x"));
     let step = train.len().div_ceil(MAPS).max(1);
-    let mut seen = Vec::new();
+    let mut depths = Vec::new();
     for id in train.iter().step_by(step) {
         let file = inside.file(folder.join(format!("{}.npy", id.name)))?;
         if file.is_file() {
             let map = read_depth(&file, 1.0).at(&file)?;
-            seen.extend(map.every(STRIDE).filter(|&z| z > 0.0));
+            depths.extend(map.every(STRIDE).filter(|&z| z > 0.0));
         }
     }
-    let Some(median) = m4_core::median(&mut seen).map(f64::from) else {
+    let Some(median) = m4_core::median(&mut depths).map(f64::from) else {
         return Ok(None);
     };
     let file = root.join("scene.json");

@@ -33,8 +33,8 @@ impl<T> FrameSource<T> {
     {
         let held = Mutex::new(Some(value));
         Self::new(move || {
-            let taken = held.lock().ok().and_then(|mut held| held.take());
-            taken.ok_or_else(|| {
+            let item = held.lock().ok().and_then(|mut held| held.take());
+            item.ok_or_else(|| {
                 Fault::bad(
                     "an image or map was asked for twice",
                     "list the source again",

@@ -21,7 +21,7 @@
 //! `v000_t000` is the view of the first training image: results compare only if both or neither
 //! count it.
 
-use super::depth::known;
+use super::depth::depth_in_range;
 use super::files::{Inside, StoredImage, given_fps, resized, stored_image};
 use super::side::{mask, one_a_frame};
 use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
@@ -223,7 +223,7 @@ fn depth_of_disparity(path: &Path, near: f64, far: f64) -> Result<CompactDepth, 
     let map: DepthMap = Plane::from_fn(w, h, |x, y| {
         let disparity = a * array.values[y * w + x] + b;
         if disparity.is_finite() {
-            known((1.0 / disparity.max(least)) as f32)
+            depth_in_range((1.0 / disparity.max(least)) as f32)
         } else {
             0.0
         }

@@ -17,7 +17,7 @@
 //! longer side is not that of `w` and `h`) are refused. `K` is of `w x h` and grows with the image.
 //! Source: the notes on the format in marek-simonik/record3d, `record3d_utils.py` of nerfstudio.
 
-use super::depth::known;
+use super::depth::depth_in_range;
 use super::files::{Inside, Members, fps_of, given_fps, in_frames, pinhole, resized};
 use super::{FrameSource, ImportOptions, Lens, ListedFrame, Listing};
 use crate::error::AtPath;
@@ -75,8 +75,8 @@ pub(crate) fn list(
     }
     // of the first image; `load` compares the others
     let size = image(&members, numbers[0]).at(path)?.size();
-    let given = given_fps(options).at(path)?;
-    let fps = metadata.fps.or(given);
+    let option_fps = given_fps(options).at(path)?;
+    let fps = metadata.fps.or(option_fps);
     let (times, duration_s) = metadata.clock(&numbers, fps, path)?;
     let frames = numbers.iter().zip(&times).map(|(&n, &t)| {
         let place = |cause: Fault| cause.within(path, format!("frame {n}"));
@@ -279,7 +279,7 @@ fn sensor_depth(members: &Members, n: usize, dw: usize, dh: usize) -> Result<Com
         if confidence.as_ref().is_some_and(|steps| steps[at] == 0) {
             0.0
         } else {
-            known(f32::from_le_bytes(values[at]))
+            depth_in_range(f32::from_le_bytes(values[at]))
         }
     });
     Ok(map.into())

@@ -74,7 +74,7 @@ pub(super) fn list(
 ) -> Result<Listing, ReadError> {
     given_fps(options).at(path)?;
     let (run, name) = match run_of(path) {
-        Some(found) => found,
+        Some(capture) => capture,
         None => {
             let names = names(path);
             match names.as_slice() {

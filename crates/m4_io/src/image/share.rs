@@ -16,12 +16,12 @@ pub(super) struct Share(u64);
 impl Share {
     /// Waits until there is room.
     pub(super) fn take(bytes: u64) -> Self {
-        let taken = TAKEN.lock().unwrap_or_else(PoisonError::into_inner);
-        let full = |taken: &mut u64| *taken > 0 && *taken + bytes > FREE_BYTES;
-        let mut taken = GIVEN_BACK
-            .wait_while(taken, full)
+        let lock = TAKEN.lock().unwrap_or_else(PoisonError::into_inner);
+        let full = |in_use: &mut u64| *in_use > 0 && *in_use + bytes > FREE_BYTES;
+        let mut in_use = GIVEN_BACK
+            .wait_while(lock, full)
             .unwrap_or_else(PoisonError::into_inner);
-        *taken += bytes;
+        *in_use += bytes;
         Self(bytes)
     }
 }

@@ -243,12 +243,12 @@ impl ResultFolder {
     ///
     /// The failure of the file system.
     pub fn clear(&mut self, but: Option<&str>) -> Result<(), WriteError> {
-        let (kept, gone) = self
+        let (remaining, gone) = self
             .existing()
             .into_iter()
             .partition(|name| is_below(name, but));
         remove(&self.path, &gone)?;
-        self.files = kept;
+        self.files = remaining;
         write_list(&self.path, self.kind, &self.files)
     }
 

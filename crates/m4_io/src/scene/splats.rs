@@ -165,13 +165,13 @@ pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
             if marginal <= LEAST_MARGINAL {
                 return None;
             }
-            let seen = marginal / (1.0 + (-f64::from(opacity)).exp());
+            let weight = marginal / (1.0 + (-f64::from(opacity)).exp());
             // a logit of exactly 1 would be infinite
-            let seen = seen.min(1.0 - f64::from(f32::EPSILON)) as f32;
-            (seen >= LEAST_OPACITY).then(|| Moment {
+            let weight = weight.min(1.0 - f64::from(f32::EPSILON)) as f32;
+            (weight >= LEAST_OPACITY).then(|| Moment {
                 row,
                 dt,
-                opacity: (seen / (1.0 - seen)).ln(),
+                opacity: (weight / (1.0 - weight)).ln(),
             })
         })
         .collect();
@@ -333,19 +333,19 @@ mod tests {
         splats
             .column_mut(Column::Colour, 3)
             .copy_from_slice(&[0.0, 1.0, 0.0]);
-        let seen = instant(&splats, 12.0, 8.0);
+        let actual = instant(&splats, 12.0, 8.0);
         assert_eq!(
-            (seen.n_static(), seen.n_dynamic()),
+            (actual.n_static(), actual.n_dynamic()),
             (2, 0),
             "the third is long before its life"
         );
-        assert_eq!(seen.column(Column::Mean, 1), &[0.0, 1.0]);
-        assert_eq!(seen.column(Column::LogScale, 2), &[-1.0, -2.0]);
-        assert_eq!(seen.column(Column::Quat, 0), &[1.0, 1.0]);
-        let opacity = 1.0 / (1.0 + (-seen.column(Column::Opacity, 0)[1]).exp());
+        assert_eq!(actual.column(Column::Mean, 1), &[0.0, 1.0]);
+        assert_eq!(actual.column(Column::LogScale, 2), &[-1.0, -2.0]);
+        assert_eq!(actual.column(Column::Quat, 0), &[1.0, 1.0]);
+        let opacity = 1.0 / (1.0 + (-actual.column(Column::Opacity, 0)[1]).exp());
         assert!((opacity - 0.5 * (-0.5f32).exp()).abs() < 1e-6);
         // a quarter of the period after the middle: the cosine is 0
-        assert!((seen.column(Column::Colour, 0)[1] - 0.2).abs() < 1e-6);
+        assert!((actual.column(Column::Colour, 0)[1] - 0.2).abs() < 1e-6);
     }
 
     #[test]

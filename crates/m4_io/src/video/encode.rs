@@ -64,7 +64,7 @@ pub(super) struct Pieces {
 struct Piece {
     /// `None` when it has all its images.
     images: Option<Sender<Image>>,
-    given: usize,
+    n_images: usize,
     thread: JoinHandle<Result<Vec<Coded>, Refused>>,
 }
 
@@ -91,7 +91,7 @@ impl Pieces {
         if self
             .running
             .back()
-            .is_none_or(|piece| piece.given == self.length)
+            .is_none_or(|piece| piece.n_images == self.length)
         {
             self.close();
             while self.running.len() >= self.most {
@@ -103,7 +103,7 @@ impl Pieces {
         let Some(piece) = self.running.back_mut() else {
             return Ok(out);
         };
-        piece.given += 1;
+        piece.n_images += 1;
         let refused = piece
             .images
             .as_ref()
@@ -141,7 +141,7 @@ impl Pieces {
             .map_err(|error| Refused::Other(format!("no thread for it can be started: {error}")))?;
         self.running.push_back(Piece {
             images: Some(sender),
-            given: 0,
+            n_images: 0,
             thread,
         });
         Ok(())

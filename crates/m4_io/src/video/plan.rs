@@ -186,8 +186,8 @@ impl Collector {
 }
 
 /// The warning of a clip that was thinned.
-pub fn thinned(kept: usize, of: usize) -> Option<String> {
-    (kept < of).then(|| format!("read {kept} of {of} frames, evenly spaced"))
+pub fn thinned(n_kept: usize, of: usize) -> Option<String> {
+    (n_kept < of).then(|| format!("read {n_kept} of {of} frames, evenly spaced"))
 }
 
 /// The warning of a clip of which `n` of `of` frames are damaged and were left out; its fault with

@@ -100,9 +100,9 @@ pub(super) fn not_video(reason: &str) -> Fault {
 }
 
 /// There is sound but no image.
-pub(super) fn no_video_track(found: &str) -> Fault {
+pub(super) fn no_video_track(contents: &str) -> Fault {
     Fault::bad(
-        format!("it has no video track ({found})"),
+        format!("it has no video track ({contents})"),
         "a clip filmed with a moving camera is needed",
     )
 }
@@ -149,12 +149,12 @@ fn mp4(request: Request<'_>, file: &mut File, len: u64) -> Result<Video, Fault> 
             .iter()
             .map(|t| mp4::kind_name(t.handler))
             .collect();
-        let found = if kinds.is_empty() {
+        let contents = if kinds.is_empty() {
             "it has no tracks at all".to_owned()
         } else {
             format!("it has {}", kinds.join(", "))
         };
-        return Err(no_video_track(&found));
+        return Err(no_video_track(&contents));
     };
     if track.samples.is_empty() {
         return Err(no_frames("its video track is empty"));
@@ -186,11 +186,11 @@ fn folder(
     let times: Vec<f64> = (0..files.len())
         .map(|i| i as f64 / options.folder_fps)
         .collect();
-    let kept = plan::select(&times, options)?;
+    let indices = plan::select(&times, options)?;
     let expected = one_size(&files)?;
     let longest = expected.0.max(expected.1) as f64;
     let size = plan::target_size(expected.0 as f64, expected.1 as f64, options);
-    plan::check_memory(kept.len(), size, options)?;
+    plan::check_memory(indices.len(), size, options)?;
 
     let photo = |i: usize| {
         let mut photo = image::read_photo(&files[i])?;
@@ -203,7 +203,7 @@ fn folder(
     };
     let read = in_parallel(
         "read images",
-        &kept,
+        &indices,
         progress,
         || Fault::Cancelled,
         |_, &i| match photo(i) {
@@ -212,7 +212,7 @@ fn folder(
         },
     )?;
     let (mut frames, mut damaged) = (Vec::with_capacity(read.len()), Vec::new());
-    for (photo, &i) in read.into_iter().zip(&kept) {
+    for (photo, &i) in read.into_iter().zip(&indices) {
         match photo {
             Ok(photo) => frames.push((i, photo)),
             Err(e) => damaged.push(e),
@@ -238,7 +238,7 @@ fn folder(
         }
         collector.warnings.push(plan::damaged(
             damaged.len(),
-            kept.len(),
+            indices.len(),
             &format!("of them: {first}"),
             options,
         )?);
@@ -247,7 +247,9 @@ fn folder(
         .iter()
         .filter(|&&t| plan::in_range(t, options))
         .count();
-    collector.warnings.extend(plan::thinned(kept.len(), inside));
+    collector
+        .warnings
+        .extend(plan::thinned(indices.len(), inside));
     collector.finish(focal_px).ok_or_else(no_images)
 }
 
@@ -260,16 +262,16 @@ fn is_damaged(error: &ReadError) -> bool {
 fn one_size(files: &[PathBuf]) -> Result<(usize, usize), Fault> {
     let (mut expected, mut damaged) = (None, None);
     for file in files {
-        let found = match image::size(file) {
+        let image_size = match image::size(file) {
             Err(e) if is_damaged(&e) => {
                 damaged.get_or_insert(e);
                 continue;
             }
-            found => found?,
+            result => result?,
         };
-        let size = *expected.get_or_insert(found);
-        if found != size {
-            return Err(other_size(file, found, size));
+        let size = *expected.get_or_insert(image_size);
+        if image_size != size {
+            return Err(other_size(file, image_size, size));
         }
     }
     expected.ok_or_else(|| no_frames(&damaged.map(|e| e.to_string()).unwrap_or_default()))

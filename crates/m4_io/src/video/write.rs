@@ -176,11 +176,11 @@ fn verify(path: &Path, (width, height): (usize, usize), frames: usize) -> Result
     let back = read_with(None, path, &options, &Silent).map_err(|e| e.to_string())?;
     let even = |side: usize| side.next_multiple_of(2) as f64;
     let expected = plan::target_size(even(width), even(height), &options);
-    let found = (back.frames.len(), back.frames[0].rgb.size());
-    if found != (frames, expected) {
+    let actual = (back.frames.len(), back.frames[0].rgb.size());
+    if actual != (frames, expected) {
         return Err(format!(
             "{} frames of {:?} where {frames} of {expected:?} were expected",
-            found.0, found.1
+            actual.0, actual.1
         ));
     }
     Ok(())

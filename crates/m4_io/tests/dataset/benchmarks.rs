@@ -83,7 +83,7 @@ fn nvidia_holds_out_views_of_other_cameras() {
     std::fs::remove_dir_all(path.join("gt")).unwrap();
     let clip = import(&path, SourceFormat::Nvidia, &ImportOptions::default()).unwrap();
     let test = clip.test.unwrap();
-    let seen: Vec<(u32, f64)> = test
+    let actual: Vec<(u32, f64)> = test
         .frames
         .iter()
         .map(|f| (f.camera_index.unwrap(), f.t))
@@ -92,7 +92,7 @@ fn nvidia_holds_out_views_of_other_cameras() {
     for t in 0..5u32 {
         want.extend((0..3).filter(|c| *c != t % 3).map(|c| (c, f64::from(t))));
     }
-    assert_eq!(seen, want);
+    assert_eq!(actual, want);
     for frame in &test.frames {
         let camera = &clip.train.frames[frame.camera_index.unwrap() as usize].camera;
         assert_eq!(frame.camera, *camera);

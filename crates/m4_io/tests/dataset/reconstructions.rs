@@ -137,8 +137,8 @@ fn images_through_lenses_are_as_a_pinhole_sees_them() {
                     (u as f64 + 0.5 - k.cx) / k.fx,
                     (v as f64 + 0.5 - k.cy) / k.fy,
                 );
-                let found = frame.rgb[(u, v)];
-                off.extend((0..3).map(|c| (f64::from(found[c]) - want[c]).abs()));
+                let actual = frame.rgb[(u, v)];
+                off.extend((0..3).map(|c| (f64::from(actual[c]) - want[c]).abs()));
             }
             let worst = off.iter().copied().fold(0.0, f64::max);
             let mean = off.iter().sum::<f64>() / off.len() as f64;

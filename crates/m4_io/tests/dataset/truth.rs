@@ -238,13 +238,13 @@ pub fn assert_images(capture: &Capture, want: &[f64], most: f64, mean: f64) {
     }
 }
 
-/// Depth of frame `i` is `want`, `[height][width]`, to `within`; 0 where `known` says no.
+/// Depth of frame `i` is `want`, `[height][width]`, to `within`; 0 where `has_depth` says no.
 pub fn assert_depth(
     capture: &Capture,
     i: usize,
     want: &[f64],
     within: f64,
-    known: impl Fn(usize, usize) -> bool,
+    has_depth: impl Fn(usize, usize) -> bool,
 ) {
     let depth = capture.frames[i].depth.as_ref().unwrap();
     let (w, h) = depth.size();
@@ -252,7 +252,7 @@ pub fn assert_depth(
     for y in 0..h {
         for x in 0..w {
             let (got, want) = (f64::from(depth.at(x, y)), want[y * w + x]);
-            if known(x, y) {
+            if has_depth(x, y) {
                 assert!(
                     (got - want).abs() <= within && got > 1.0,
                     "{i}: {x} {y}: {got} {want}"

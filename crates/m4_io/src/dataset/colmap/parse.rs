@@ -75,8 +75,8 @@ pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, PlacedError> {
     table(bytes, |from| {
         let (id, model) = (from.u32()?, from.u32()? as i32);
         let (width, height) = (from.u64()?, from.u64()?);
-        let known = usize::try_from(model).ok().and_then(|k| MODELS.get(k));
-        let &(name, len) = known.ok_or_else(|| {
+        let entry = usize::try_from(model).ok().and_then(|k| MODELS.get(k));
+        let &(name, len) = entry.ok_or_else(|| {
             let what = format!("its lens is of the unknown model {model}");
             (
                 format!("camera {id}"),
@@ -101,8 +101,8 @@ pub fn read_images(bytes: &[u8]) -> Result<Vec<ColmapImage>, PlacedError> {
         let translation = from.array()?;
         let camera = from.u32()?;
         let name = from.name()?;
-        let seen = from.u64()?;
-        from.skip(seen, 24)?;
+        let n_points = from.u64()?;
+        from.skip(n_points, 24)?;
         Ok(ColmapImage {
             id,
             rotation,
@@ -152,13 +152,13 @@ impl<'a> Cursor<'a> {
     }
 
     fn take(&mut self, len: usize) -> Result<&'a [u8], PlacedError> {
-        let found = self.bytes.get(self.at..).and_then(|rest| rest.get(..len));
-        let Some(found) = found else {
+        let slice = self.bytes.get(self.at..).and_then(|rest| rest.get(..len));
+        let Some(slice) = slice else {
             let rest = self.bytes.len() - self.at;
             return Err(self.damaged(format!("{rest} bytes are left where {len} were expected")));
         };
         self.at += len;
-        Ok(found)
+        Ok(slice)
     }
 
     fn fixed<const N: usize>(&mut self) -> Result<[u8; N], PlacedError> {

@@ -96,8 +96,8 @@ impl ColmapTables {
         let mut lenses: Vec<Intrinsics> = Vec::new();
         let image = |((i, camera), name): ((u32, &Camera), String)| {
             let lens = camera.intrinsics;
-            let known = lenses.iter().position(|k| *k == lens);
-            let known = known.unwrap_or_else(|| {
+            let index = lenses.iter().position(|k| *k == lens);
+            let index = index.unwrap_or_else(|| {
                 lenses.push(lens);
                 lenses.len() - 1
             });
@@ -109,7 +109,7 @@ impl ColmapTables {
                 id: i,
                 rotation: [q.w, q.i, q.j, q.k],
                 translation: w2c.translation.into(),
-                camera: known as u32 + 1,
+                camera: index as u32 + 1,
                 name,
             }
         };

@@ -80,12 +80,12 @@ fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
             return bad("its depth map or mask has no pixels".to_owned());
         }
         let camera = frame.camera;
-        let seen = SourceFrame {
+        let source_frame = SourceFrame {
             camera,
             t: frame.t,
             exposure: Exposure::IDENTITY,
         };
-        if !usable(&seen) {
+        if !usable(&source_frame) {
             return bad(format!("its camera is none: {camera:?}"));
         }
         let k = &camera.intrinsics;

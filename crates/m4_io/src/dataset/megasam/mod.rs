@@ -183,8 +183,8 @@ fn depth_of(stored: Stored, value: f64) -> f32 {
         Stored::Disparity => (1.0 / value - DISPARITY_EPSILON, LEAST_DEPTH),
     };
     // `z < least` would let NaN pass; the inverse of a tiny disparity is finite, but not as 32 bits
-    let known = z >= least && DEPTH.contains(&z);
-    if known { z as f32 } else { 0.0 }
+    let in_range = z >= least && DEPTH.contains(&z);
+    if in_range { z as f32 } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -256,16 +256,16 @@ impl Input {
             &[clip.frames, h, w],
             "a map for each of the frames of `images`",
         )?;
-        let (mut maps, mut known) = (Vec::new(), 0);
+        let (mut maps, mut n_known) = (Vec::new(), 0);
         for i in 0..clip.frames {
             step("read depth", i, clip.frames, progress)?;
             let values = array.next_f64(w * h)?;
             let map: Vec<f32> = values.iter().map(|&v| depth_of(stored, v)).collect();
-            known += map.iter().filter(|z| **z > 0.0).count();
+            n_known += map.iter().filter(|z| **z > 0.0).count();
             maps.push(plane(w, h, map)?);
         }
         array.end()?;
-        let share = known as f64 / (clip.frames * w * h) as f64;
+        let share = n_known as f64 / (clip.frames * w * h) as f64;
         if share < 0.5 {
             progress.warn(&format!(
                 "the depth of only {:.0} % of the pixels is known",

@@ -386,7 +386,7 @@ impl List {
         }
         let with = |e: &str| PathBuf::from(format!("{}.{e}", exact.display()));
         let named = ["png", "jpg", "jpeg", "PNG", "JPG"].map(with);
-        let found = named.into_iter().find(|file| file.is_file()).ok_or_else(|| {
+        let file = named.into_iter().find(|file| file.is_file()).ok_or_else(|| {
             let is_link = exact.symlink_metadata().is_ok_and(|facts| facts.is_symlink());
             let what = format!(
                 "the image {} is {}; put it there, or give the folder that file_path starts from (images)",
@@ -395,7 +395,7 @@ impl List {
             );
             Fault::Io(io::Error::new(io::ErrorKind::NotFound, what))
         });
-        self.inside.check(found?)
+        self.inside.check(file?)
     }
 
     /// The tracks that the file names, their frames in the order of the entries.

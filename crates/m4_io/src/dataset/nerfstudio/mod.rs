@@ -207,9 +207,9 @@ const HINT: &str = "correct the intrinsics in the file";
 /// The lens of an image of that size.
 pub(crate) fn lens_of(keys: &LensKeys, (width, height): (usize, usize)) -> Result<Lens, Fault> {
     let (w, h) = (width as f64, height as f64);
-    for (key, given, found) in [("w", keys.w, w), ("h", keys.h, h)] {
-        if let Some(given) = given.filter(|given| (given - found).abs() > 0.5) {
-            let what = format!("{key} = {given}, but the image has {found}");
+    for (key, stated, actual) in [("w", keys.w, w), ("h", keys.h, h)] {
+        if let Some(stated) = stated.filter(|stated| (stated - actual).abs() > 0.5) {
+            let what = format!("{key} = {stated}, but the image has {actual}");
             return Err(Fault::bad(
                 what,
                 "use the images that the cameras were computed from",

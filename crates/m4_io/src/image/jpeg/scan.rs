@@ -11,7 +11,7 @@ struct Component {
     blocks: (usize, usize),
     stride: usize,
     /// Of a progressive image which coefficients of each block are not 0; empty for others.
-    known: Vec<u64>,
+    nonzero: Vec<u64>,
     /// A scan had its first coefficients.
     begun: bool,
 }
@@ -56,7 +56,7 @@ impl Frame {
                     (height * v).div_ceil(v_max).div_ceil(8),
                 ),
                 stride,
-                known: if progressive {
+                nonzero: if progressive {
                     vec![0; stride * mcus.1 * v]
                 } else {
                     Vec::new()
@@ -175,7 +175,7 @@ impl<'a> Scan<'a> {
                         continue;
                     }
                     let block = (y * v + k / h) * component.stride + x * h + k % h;
-                    self.progressive(&mut bits, part, &mut component.known[block], &mut run)?;
+                    self.progressive(&mut bits, part, &mut component.nonzero[block], &mut run)?;
                 }
             }
         }
@@ -188,13 +188,13 @@ impl<'a> Scan<'a> {
         bits.end()
     }
 
-    /// A block of a progressive scan (annex G); `known` are its coefficients that are not 0, `run`
+    /// A block of a progressive scan (annex G); `nonzero` marks its coefficients not 0, `run`
     /// the blocks to come without new ones.
     fn progressive(
         &self,
         bits: &mut Bits<'_>,
         part: &Part<'_>,
-        known: &mut u64,
+        nonzero: &mut u64,
         run: &mut u32,
     ) -> Result<(), String> {
         let (first, last) = self.band;
@@ -218,7 +218,7 @@ impl<'a> Scan<'a> {
             if self.refines {
                 // coefficients that are known have a bit each, and do not count
                 while k <= last {
-                    if *known >> k & 1 == 1 {
+                    if *nonzero >> k & 1 == 1 {
                         bits.skip(1)?;
                     } else if zeros == 0 {
                         break;
@@ -234,7 +234,7 @@ impl<'a> Scan<'a> {
                 if k > last {
                     return Err(TOO_MANY.to_owned());
                 }
-                *known |= 1 << k;
+                *nonzero |= 1 << k;
             }
             k += 1;
         }
@@ -242,7 +242,7 @@ impl<'a> Scan<'a> {
             *run -= 1;
             if self.refines && k <= last {
                 let rest = (u64::MAX >> (63 - last)) & (u64::MAX << k);
-                bits.skip((*known & rest).count_ones())?;
+                bits.skip((*nonzero & rest).count_ones())?;
             }
         }
         Ok(())

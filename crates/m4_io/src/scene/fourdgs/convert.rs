@@ -144,8 +144,10 @@ pub(super) fn from_set(
         let velocity = motion.map(|v| (f64::from(v) * clip.step_s) as f32);
         let life = if sigma.is_finite() {
             // a grid may have moved the ends a little
-            let seen = (k - 0.1) * sigma;
-            cut += usize::from(from > (mu - seen).max(0.0) || to <= (mu + seen).min(last_s));
+            let half_width = (k - 0.1) * sigma;
+            cut += usize::from(
+                from > (mu - half_width).max(0.0) || to <= (mu + half_width).min(last_s),
+            );
             Some((mu, sigma))
         } else if !whole {
             // There for a while and gone: a Gaussian that the renderer cuts off at the same two
@@ -236,9 +238,9 @@ type Fields = [f32; FIELDS];
 /// Compares a decoded file with the columns that it was made of. Returns what differs, and by how
 /// much.
 pub(super) fn verify(set: &GaussianSet, bounds: &Bounds, file: &Scene) -> Result<(), String> {
-    let (n, found) = (set.count(), file.gaussians.count());
-    if n != found {
-        return Err(format!("{found} splats came back of {n}"));
+    let (n, n_read) = (set.count(), file.gaussians.count());
+    if n != n_read {
+        return Err(format!("{n_read} splats came back of {n}"));
     }
     let grid = Grid::new(&file.quantization, set, file.header.cutoff);
     let mut expected = Vec::with_capacity(n);

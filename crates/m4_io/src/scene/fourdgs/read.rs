@@ -154,7 +154,7 @@ const PER_SYMBOL: u64 = 12;
 /// that place without having allocated for what follows.
 fn budget(bytes: &[u8]) -> Result<(), Fault> {
     let allowed = FREE + PER_BYTE * bytes.len() as u64;
-    let (mut kept, mut largest) = (0u64, 0u64);
+    let (mut bytes_kept, mut largest) = (0u64, 0u64);
     let body = bytes.get(MAGIC.len()..).unwrap_or_default();
     for record in Records::new(body, 0) {
         let Ok(record) = record else { break };
@@ -163,7 +163,7 @@ fn budget(bytes: &[u8]) -> Result<(), Fault> {
                 let Ok((head, streams)) = parse_chunk(record.content) else {
                     break;
                 };
-                kept = kept.saturating_add(u64::from(head.count) * PER_SPLAT);
+                bytes_kept = bytes_kept.saturating_add(u64::from(head.count) * PER_SPLAT);
                 // A chunk that is compressed as a whole hides its streams; each symbol in it is a
                 // byte at least.
                 let symbols = if head.compression.is_empty() {
@@ -177,11 +177,11 @@ fn budget(bytes: &[u8]) -> Result<(), Fault> {
             // Bands are kept, decoded, until the last chunk.
             opcode::SH_BAND_STREAM => {
                 let symbols = stream_symbols(record.content.get(1..).unwrap_or_default(), u64::MAX);
-                kept = kept.saturating_add(symbols.saturating_mul(PER_SYMBOL));
+                bytes_kept = bytes_kept.saturating_add(symbols.saturating_mul(PER_SYMBOL));
             }
             _ => {}
         }
-        let needed = kept.saturating_add(largest);
+        let needed = bytes_kept.saturating_add(largest);
         if needed > allowed {
             let len = bytes.len();
             let what = format!(

@@ -28,15 +28,15 @@ fn name() -> &'static Path {
     Path::new("scene.4dgs")
 }
 
-/// The rows of `found` in the order of the rows of `want`, by the nearest means.
-fn matched(want: &Splats, found: &Splats) -> Vec<usize> {
+/// The rows of `actual` in the order of the rows of `want`, by the nearest means.
+fn matched(want: &Splats, actual: &Splats) -> Vec<usize> {
     let mean = |s: &Splats, i: usize| Vector3::from_fn(|k, _| s.column(Column::Mean, k)[i]);
     (0..want.n())
         .map(|i| {
             let is_static = i < want.n_static();
-            let same_kind = |&j: &usize| (j < found.n_static()) == is_static;
-            let distance = |&j: &usize| (mean(found, j) - mean(want, i)).norm();
-            (0..found.n())
+            let same_kind = |&j: &usize| (j < actual.n_static()) == is_static;
+            let distance = |&j: &usize| (mean(actual, j) - mean(want, i)).norm();
+            (0..actual.n())
                 .filter(same_kind)
                 .min_by(|a, b| distance(a).total_cmp(&distance(b)))
                 .unwrap()
@@ -132,8 +132,8 @@ fn fourdgs_round_trips_within_bounds() {
 fn extra_metadata_round_trips() {
     let scene = scene(0, 0, false);
     let (bytes, losses) = encode(name(), &scene).unwrap();
-    let found = parse(name(), &bytes).unwrap();
-    let back = &found.scene;
+    let file = parse(name(), &bytes).unwrap();
+    let back = &file.scene;
     assert_eq!(
         (
             back.background,
@@ -144,8 +144,8 @@ fn extra_metadata_round_trips() {
         ),
         (scene.background, 31, Some(1.25), true, 0.02)
     );
-    assert_eq!(found.up, Some([0.0, -1.0, 0.0]));
-    assert!(found.losses.is_empty(), "{:?}", found.losses);
+    assert_eq!(file.up, Some([0.0, -1.0, 0.0]));
+    assert!(file.losses.is_empty(), "{:?}", file.losses);
     assert_eq!(back.source.len(), 31);
     for (a, b) in scene.source.iter().zip(&back.source) {
         assert_eq!(a.camera.intrinsics, b.camera.intrinsics);

@@ -35,7 +35,7 @@ pub(super) const MIP_COMMENT: &str = "comment SplatRenderMode: mip\n";
 pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> {
     check_finite(path, scene)?;
     check_unbound(path, &scene.splats)?;
-    let splats = seen(scene, &scene.splats, t);
+    let splats = instant_splats(scene, &scene.splats, t);
     let bytes = encode(&splats, t, scene.mip);
     publish(path, &bytes)?;
     let mut losses = Vec::new();
@@ -59,7 +59,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteError> 
 }
 
 /// The splats of an instant, frames.
-fn seen(scene: &Scene, splats: &Splats, t: f64) -> Splats {
+fn instant_splats(scene: &Scene, splats: &Splats, t: f64) -> Splats {
     instant(splats, t, scene.period_frames())
 }
 
@@ -175,7 +175,7 @@ pub fn write_sequence<'a>(
         let path = next.join(&names[i]);
         let all = splats_at(t);
         check_unbound(&path, &all)?;
-        let splats = seen(scene, &all, t);
+        let splats = instant_splats(scene, &all, t);
         let bytes = encode(&splats, t, scene.mip);
         publish(&path, &bytes)?;
         written.bytes += bytes.len() as u64;
@@ -236,17 +236,17 @@ mod tests {
             let scene = scene(sh_degree);
             let path = dir.path().join("a.ply");
             let written = write(&path, &scene, 4.0).unwrap();
-            let seen = crate::scene::instant(&scene.splats, 4.0, 10.0);
+            let instant_splats = crate::scene::instant(&scene.splats, 4.0, 10.0);
             assert_eq!(
                 (written.splats, written.bytes),
-                (seen.n(), std::fs::metadata(&path).unwrap().len())
+                (instant_splats.n(), std::fs::metadata(&path).unwrap().len())
             );
-            assert!(seen.n() > 50 && seen.n() < 120);
+            assert!(instant_splats.n() > 50 && instant_splats.n() < 120);
             let back = read(&path).unwrap();
             assert!(back.losses.is_empty());
-            let mut unit = seen.clone();
+            let mut unit = instant_splats.clone();
             for i in 0..unit.n() {
-                let row = Row::of(&seen, i);
+                let row = Row::of(&instant_splats, i);
                 for k in 0..4 {
                     unit.column_mut(Column::Quat, k)[i] = row.quat[k];
                 }
@@ -280,19 +280,28 @@ mod tests {
         let file: File =
             serde_ply::from_reader(std::io::BufReader::new(std::fs::File::open(&path).unwrap()))
                 .unwrap();
-        let seen = crate::scene::instant(&scene.splats, 4.0, 10.0);
-        assert_eq!(file.vertex.len(), seen.n());
+        let instant_splats = crate::scene::instant(&scene.splats, 4.0, 10.0);
+        assert_eq!(file.vertex.len(), instant_splats.n());
         for (i, vertex) in file.vertex.iter().enumerate() {
             assert_eq!(vertex.len(), 17 + 24);
-            assert_eq!(vertex["y"], seen.column(Column::Mean, 1)[i]);
+            assert_eq!(vertex["y"], instant_splats.column(Column::Mean, 1)[i]);
             assert_eq!(vertex["nz"], 0.0);
-            assert_eq!(vertex["scale_2"], seen.column(Column::LogScale, 2)[i]);
-            assert_eq!(vertex["opacity"], seen.column(Column::Opacity, 0)[i]);
-            assert_eq!(vertex["f_dc_1"], seen.column(Column::Colour, 1)[i]);
+            assert_eq!(
+                vertex["scale_2"],
+                instant_splats.column(Column::LogScale, 2)[i]
+            );
+            assert_eq!(
+                vertex["opacity"],
+                instant_splats.column(Column::Opacity, 0)[i]
+            );
+            assert_eq!(
+                vertex["f_dc_1"],
+                instant_splats.column(Column::Colour, 1)[i]
+            );
             // green of the third of eight terms: channel major
             assert_eq!(
                 vertex["f_rest_10"],
-                seen.column(Column::Colour, 3 * 3 + 1)[i]
+                instant_splats.column(Column::Colour, 3 * 3 + 1)[i]
             );
             let norm: f32 = (0..4).map(|k| vertex[&format!("rot_{k}")].powi(2)).sum();
             assert!((norm - 1.0).abs() < 1e-6);
@@ -387,13 +396,13 @@ mod tests {
             let value = if v == 9 { f32::NEG_INFINITY } else { v as f32 };
             bytes.extend(value.to_le_bytes());
         }
-        let found = parse(Path::new("other.ply"), &bytes).unwrap();
-        let splats = found.scene.splats;
+        let file = parse(Path::new("other.ply"), &bytes).unwrap();
+        let splats = file.scene.splats;
         assert_eq!(
             (
                 splats.n_static(),
                 splats.n_dynamic(),
-                found.scene.time_frames
+                file.scene.time_frames
             ),
             (1, 0, 1)
         );
@@ -405,7 +414,7 @@ mod tests {
         assert_eq!(splats.column(Column::Colour, 0), &[7.0]);
         assert!((row.quat[0] - 4.0 / 30f32.sqrt()).abs() < 1e-6);
         assert!(
-            matches!(&found.losses[..], [Loss::Dropped(what)] if what.contains("red, trbf_center"))
+            matches!(&file.losses[..], [Loss::Dropped(what)] if what.contains("red, trbf_center"))
         );
     }
 

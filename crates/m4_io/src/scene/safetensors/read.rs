@@ -47,11 +47,11 @@ fn file(path: &Path) -> Result<SceneFile, Fault> {
     let views = arrays
         .iter()
         .map(|(name, array)| (name.clone(), Source::Array(array.view())));
-    let found =
+    let actual =
         checksum(&header.scene, &header.metadata, &views.collect()).map_err(Fault::damaged)?;
-    if found != header.blake3 {
+    if actual != header.blake3 {
         return Err(Fault::damaged(format!(
-            "its checksum is {found} where {} was written",
+            "its checksum is {actual} where {} was written",
             shortened(header.blake3)
         )));
     }

@@ -422,11 +422,11 @@ pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
     Ok((0..n).map(frame).collect())
 }
 
-fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Fault {
-    let found = Source::Array(found.view()).describe();
+fn other(name: &str, tensor: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Fault {
+    let actual = Source::Array(tensor.view()).describe();
     let name = shortened(format!("{name:?}"));
     Fault::damaged(format!(
-        "array {name} is {found} where {kind} {shape:?} was expected"
+        "array {name} is {actual} where {kind} {shape:?} was expected"
     ))
 }
 
@@ -440,32 +440,32 @@ fn missing(name: &str) -> Fault {
 /// The values of an array that must have a type and shape.
 pub fn f32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f32], Fault> {
     match arrays.get(name) {
-        Some(StateTensor::F32 { shape: found, data }) if found == shape => Ok(data),
-        Some(found) => Err(other(name, found, "f32", shape)),
+        Some(StateTensor::F32 { shape: dims, data }) if dims == shape => Ok(data),
+        Some(tensor) => Err(other(name, tensor, "f32", shape)),
         None => Err(missing(name)),
     }
 }
 
 pub fn u32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [u32], Fault> {
     match arrays.get(name) {
-        Some(StateTensor::U32 { shape: found, data }) if found == shape => Ok(data),
-        Some(found) => Err(other(name, found, "u32", shape)),
+        Some(StateTensor::U32 { shape: dims, data }) if dims == shape => Ok(data),
+        Some(tensor) => Err(other(name, tensor, "u32", shape)),
         None => Err(missing(name)),
     }
 }
 
 pub fn u16_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [u16], Fault> {
     match arrays.get(name) {
-        Some(StateTensor::U16 { shape: found, data }) if found == shape => Ok(data),
-        Some(found) => Err(other(name, found, "u16", shape)),
+        Some(StateTensor::U16 { shape: dims, data }) if dims == shape => Ok(data),
+        Some(tensor) => Err(other(name, tensor, "u16", shape)),
         None => Err(missing(name)),
     }
 }
 
 fn f64_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f64], Fault> {
     match arrays.get(name) {
-        Some(StateTensor::F64 { shape: found, data }) if found == shape => Ok(data),
-        Some(found) => Err(other(name, found, "f64", shape)),
+        Some(StateTensor::F64 { shape: dims, data }) if dims == shape => Ok(data),
+        Some(tensor) => Err(other(name, tensor, "f64", shape)),
         None => Err(missing(name)),
     }
 }

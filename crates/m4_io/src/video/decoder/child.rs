@@ -213,7 +213,7 @@ impl<'a> Child<'a> {
             exit.status,
             exit.cpu_s,
             &self.allowed,
-            &self.messages.kept(),
+            &self.messages.lines(),
         )
     }
 
@@ -225,7 +225,7 @@ impl<'a> Child<'a> {
 
     /// Lines of its standard error that were kept.
     pub fn message(&self) -> Vec<String> {
-        self.messages.kept()
+        self.messages.lines()
     }
 
     /// True when the process has ended; its number stays its own until it was waited for.

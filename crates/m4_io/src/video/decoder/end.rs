@@ -94,7 +94,7 @@ pub struct Messages {
 
 #[derive(Default)]
 struct Shared {
-    kept: Mutex<Vec<String>>,
+    lines: Mutex<Vec<String>>,
     too_many: AtomicBool,
 }
 
@@ -125,10 +125,10 @@ impl Messages {
         &self.end
     }
 
-    /// The lines that were kept.
-    pub fn kept(&self) -> Vec<String> {
-        let kept = self.shared.kept.lock();
-        kept.unwrap_or_else(PoisonError::into_inner).clone()
+    /// The first and the last lines.
+    pub fn lines(&self) -> Vec<String> {
+        let lines = self.shared.lines.lock();
+        lines.unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
@@ -156,7 +156,7 @@ fn drain(
             let text = text.trim_end();
             if !text.is_empty() && on_line(text) {
                 keep(
-                    &mut shared.kept.lock().unwrap_or_else(PoisonError::into_inner),
+                    &mut shared.lines.lock().unwrap_or_else(PoisonError::into_inner),
                     text,
                 );
             }
@@ -168,11 +168,11 @@ fn drain(
     }
 }
 
-fn keep(kept: &mut Vec<String>, line: &str) {
-    if kept.len() == KEPT_LINES {
-        kept.remove(KEPT_LINES / 2);
+fn keep(lines: &mut Vec<String>, line: &str) {
+    if lines.len() == KEPT_LINES {
+        lines.remove(KEPT_LINES / 2);
     }
-    kept.push(line.to_owned());
+    lines.push(line.to_owned());
 }
 
 #[cfg(test)]
@@ -189,25 +189,25 @@ mod tests {
                 .recv_timeout(Duration::from_secs(60))
                 .is_err()
         );
-        (messages.kept(), messages.too_many_mb())
+        (messages.lines(), messages.too_many_mb())
     }
 
     #[test]
     fn the_first_and_the_last_lines_are_kept() {
         let text: String = (0..100).map(|i| format!("line {i}\n")).collect();
-        let (kept, many) = all(Cursor::new(text), 1 << 20);
-        assert_eq!((kept.len(), many), (16, None));
+        let (lines, many) = all(Cursor::new(text), 1 << 20);
+        assert_eq!((lines.len(), many), (16, None));
         assert_eq!(
-            (kept[7].as_str(), kept[8].as_str(), kept[15].as_str()),
+            (lines[7].as_str(), lines[8].as_str(), lines[15].as_str()),
             ("line 7", "line 92", "line 99")
         );
     }
 
     #[test]
     fn messages_without_end_take_no_memory() {
-        let (kept, many) = all(std::io::repeat(b'x'), 3 << 20);
-        assert_eq!((kept.len(), kept[0].len(), many), (1, 8 << 10, Some(3)));
-        let (kept, many) = all(std::io::repeat(b'\n'), 1 << 20);
-        assert_eq!((kept.len(), many), (0, Some(1)));
+        let (lines, many) = all(std::io::repeat(b'x'), 3 << 20);
+        assert_eq!((lines.len(), lines[0].len(), many), (1, 8 << 10, Some(3)));
+        let (lines, many) = all(std::io::repeat(b'\n'), 1 << 20);
+        assert_eq!((lines.len(), many), (0, Some(1)));
     }
 }

@@ -247,12 +247,12 @@ mod tests {
             DecoderLimits::default().allowed(absurd).memory_bytes,
             8 << 30
         );
-        let given = DecoderLimits {
+        let limits = DecoderLimits {
             memory_mb: 100,
             cpu_seconds: 3,
             idle_seconds: 2,
         };
-        let allowed = given.allowed(absurd);
+        let allowed = limits.allowed(absurd);
         assert_eq!(
             (allowed.memory_bytes >> 20, allowed.cpu_s, allowed.idle_s),
             (100, 3, 2)

@@ -167,7 +167,7 @@ impl<'a> Decoder<'a> {
         let total = self.keep.last().map_or(0, |&i| i + 1);
         let mut collector: Option<Collector> = None;
         let mut first: Option<(FrameInfo, f64)> = None;
-        let (mut decoded, mut seen, mut next) = (0, 0, 0);
+        let (mut decoded, mut index, mut next) = (0, 0, 0);
         let mut bytes = Vec::new();
         while next < self.keep.len() {
             if progress.cancelled() {
@@ -190,16 +190,16 @@ impl<'a> Decoder<'a> {
             if !plan::in_range(time_s, self.options) {
                 continue;
             }
-            if seen == self.keep[next] {
+            if index == self.keep[next] {
                 let collector = match &mut collector {
                     Some(collector) => collector,
                     None => collector.insert(self.collector(&info)?),
                 };
                 collector.push(self.image(&info, &bytes)?, time_s);
                 next += 1;
-                progress.update("decode video", seen + 1, total, "");
+                progress.update("decode video", index + 1, total, "");
             }
-            seen += 1;
+            index += 1;
         }
         self.finish(collector, decoded, next)
     }
@@ -239,9 +239,9 @@ impl<'a> Decoder<'a> {
         mut self,
         collector: Option<Collector>,
         decoded: usize,
-        kept: usize,
+        n_kept: usize,
     ) -> Result<Video, Fault> {
-        let complete = kept == self.keep.len();
+        let complete = n_kept == self.keep.len();
         // What remains of a clip of which enough was read is not needed.
         let exit = if complete {
             None

@@ -38,7 +38,7 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
         .into());
     }
     let times: Vec<f64> = shown.iter().map(|&(_, time_s)| time_s).collect();
-    let kept = plan::select(&times, options)?;
+    let indices = plan::select(&times, options)?;
     let inside = times
         .iter()
         .filter(|&&t| plan::in_range(t, options))
@@ -71,7 +71,7 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
         (width, height)
     };
     let size = plan::target_size(width, height, options);
-    plan::check_memory(kept.len(), size, options)?;
+    plan::check_memory(indices.len(), size, options)?;
 
     let work = Work {
         pixels: (sps.size.0 * sps.size.1) as u64,
@@ -97,7 +97,7 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
         collector: Collector::new(size),
         damaged: Vec::new(),
     };
-    run.frames(file, &track.samples, &shown, &kept, progress)?;
+    run.frames(file, &track.samples, &shown, &indices, progress)?;
 
     let Run {
         mut collector,
@@ -107,7 +107,7 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
     if collector.len() == 0 {
         return Err(unsupported(&format!(
             "H.264 of which none of {} frames could be decoded here",
-            kept.len()
+            indices.len()
         )));
     }
     if !damaged.is_empty() {
@@ -121,7 +121,9 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
         let message = "the display matrix is not a turn by a right angle; frames are as stored";
         collector.warnings.push(message.to_owned());
     }
-    collector.warnings.extend(plan::thinned(kept.len(), inside));
+    collector
+        .warnings
+        .extend(plan::thinned(indices.len(), inside));
     collector
         .finish(None)
         .ok_or_else(|| no_frames("none was kept").into())
@@ -158,7 +160,7 @@ impl Run<'_> {
         file: &mut File,
         samples: &[Sample],
         shown: &[(usize, f64)],
-        kept: &[usize],
+        indices: &[usize],
         progress: &dyn Progress,
     ) -> Result<(), Fault> {
         let mut time_of = vec![None; samples.len()];
@@ -166,20 +168,20 @@ impl Run<'_> {
             time_of[sample] = Some(time_s);
         }
         let mut keep = vec![false; samples.len()];
-        for &i in kept {
+        for &i in indices {
             keep[shown[i].0] = true;
         }
         let total = keep.iter().rposition(|&k| k).map_or(0, |i| i + 1);
         let (mut coded, mut annex_b) = (Vec::new(), Vec::new());
-        let mut given = VecDeque::new();
+        let mut times = VecDeque::new();
         let mut fresh = true;
         for (i, sample) in samples[..total].iter().enumerate() {
             if progress.cancelled() {
                 return Err(Fault::Cancelled);
             }
             progress.update("decode video", i + 1, total, "");
-            let there = coded_bytes(file, sample, &mut coded)?;
-            let kind = match there {
+            let length = coded_bytes(file, sample, &mut coded)?;
+            let kind = match length {
                 true => self.config.annex_b(&coded, &mut annex_b),
                 false => None,
             };
@@ -200,12 +202,12 @@ impl Run<'_> {
             }
             self.engine.give(&annex_b, fresh, keep[i]);
             fresh = false;
-            given.push_back(time_of[i]);
-            if given.len() > self.engine.window() {
-                self.take(given.pop_front().flatten())?;
+            times.push_back(time_of[i]);
+            if times.len() > self.engine.window() {
+                self.take(times.pop_front().flatten())?;
             }
         }
-        for time_s in given {
+        for time_s in times {
             self.take(time_s)?;
         }
         Ok(())

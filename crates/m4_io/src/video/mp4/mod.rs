@@ -72,12 +72,12 @@ fn name(kind: FourCC) -> String {
 
 /// True when bytes 4..8 of a file are a box type that MP4 and QuickTime files start with.
 pub fn looks_like_mp4(start: &[u8]) -> bool {
-    let known = [
+    let kinds = [
         b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot",
     ];
     start
         .get(4..8)
-        .is_some_and(|kind| known.iter().any(|k| *k == kind))
+        .is_some_and(|kind| kinds.iter().any(|k| *k == kind))
 }
 
 /// The body of the top-level `moov` box.
@@ -96,9 +96,9 @@ fn read_moov(file: &mut (impl Read + Seek), len: u64) -> Result<Vec<u8>, Mp4Erro
             }
         };
         let start = file.stream_position()?;
-        let there = len.saturating_sub(start);
-        let size = header.size.map_or(there, |size| size as u64);
-        let missing = size.saturating_sub(there);
+        let available = len.saturating_sub(start);
+        let size = header.size.map_or(available, |size| size as u64);
+        let missing = size.saturating_sub(available);
         if header.kind == Moov::KIND {
             if missing > 0 {
                 let what =
