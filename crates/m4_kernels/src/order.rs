@@ -90,9 +90,9 @@ mod tests {
             .fill_with(|| (40.0 * rng.uniform()) as f32);
         let order = morton_order(&splats);
         let sorted = splats.gather(&order).unwrap();
-        let mut seen = order;
-        seen.sort_unstable();
-        assert!(seen.iter().copied().eq(0..4000), "every row once");
+        let mut rows = order;
+        rows.sort_unstable();
+        assert!(rows.iter().copied().eq(0..4000), "every row once");
         let walk = |s: &Splats| -> f64 {
             let axis = |k, i: usize| f64::from(s.column(Column::Mean, k)[i]);
             (1..3000)

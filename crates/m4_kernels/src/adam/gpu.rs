@@ -83,7 +83,7 @@ pub fn step(
 #[derive(CubeType, Clone, Copy)]
 struct Step {
     /// Whether it has a gradient; else that is 0.
-    seen: bool,
+    has_gradient: bool,
     beta1: f32,
     beta2: f32,
     /// Corrections of the moments' bias.
@@ -126,12 +126,12 @@ fn adam(
     #[comptime] sparse: bool,
 ) {
     let i = ABSOLUTE_POS as u32;
-    let mut seen = 0u32;
+    let mut touch_flag = 0u32;
     if i < n {
-        seen = touched[i as usize];
+        touch_flag = touched[i as usize];
     }
-    count_step(seen, tally);
-    let mut on = seen != 0u32;
+    count_step(touch_flag, tally);
+    let mut on = touch_flag != 0u32;
     if comptime!(!sparse) {
         on = i < n;
     }
@@ -147,7 +147,7 @@ fn adam(
         counts[i as usize] = count;
         let steps = f32::cast_from(count);
         let step = Step {
-            seen: seen != 0u32,
+            has_gradient: touch_flag != 0u32,
             beta1,
             beta2,
             bias1: 1.0f32 / (1.0f32 - (steps * beta1.ln()).exp()),
@@ -215,7 +215,7 @@ fn move_columns(
     for c in 0u32..columns {
         let at = (c * rows + row) as usize;
         let mut gradient = 0.0f32;
-        if step.seen {
+        if step.has_gradient {
             gradient = g[at];
         }
         let mean = step.beta1 * m[at] + (1.0f32 - step.beta1) * gradient;

@@ -58,23 +58,23 @@ pub fn step(
         beta2: config.beta2_dynamic,
         epsilon: config.eps,
     };
-    for found in gradients {
-        if found.nodes.iter().flatten().all(|&g| g == 0.0) {
+    for gradient in gradients {
+        if gradient.nodes.iter().flatten().all(|&g| g == 0.0) {
             continue;
         }
-        let (window, moments) = (&mut windows[found.window], &mut moments[found.window]);
+        let (window, moments) = (&mut windows[gradient.window], &mut moments[gradient.window]);
         let size = NODE_PARAMETERS * window.anchors().len();
-        moments.step[found.key] += 1;
-        let count = moments.step[found.key];
-        let part = found.key * size..(found.key + 1) * size;
+        moments.step[gradient.key] += 1;
+        let count = moments.step[gradient.key];
+        let part = gradient.key * size..(gradient.key + 1) * size;
         let (m, v) = (&mut moments.m[part.clone()], &mut moments.v[part]);
         let moments = m
             .chunks_exact_mut(NODE_PARAMETERS)
             .zip(v.chunks_exact_mut(NODE_PARAMETERS));
         for ((pose, g), (m, v)) in window
-            .poses_mut(found.key)
+            .poses_mut(gradient.key)
             .iter_mut()
-            .zip(&found.nodes)
+            .zip(&gradient.nodes)
             .zip(moments)
         {
             if g.iter().all(|&g| g == 0.0) {

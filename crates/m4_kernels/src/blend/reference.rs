@@ -158,12 +158,14 @@ pub fn blend_vjp<T: Real, C: Cutoff>(
     };
     let background = behind_all(background);
     for (pixel, g) in g.iter().enumerate().take(width * height) {
-        let mut seen = Vec::new();
-        let last = walk::<T, C>(splats, pixel % width, pixel / width, |c| seen.push(c));
+        let mut contributions = Vec::new();
+        let last = walk::<T, C>(splats, pixel % width, pixel / width, |c| {
+            contributions.push(c)
+        });
         add_background(&mut out.background, last, g);
         // colour behind the splat at hand, already weighted with its transmittance
         let mut suffix = background.map(|b| b * last);
-        for c in seen.iter().rev() {
+        for c in contributions.iter().rev() {
             let splat = &splats[c.index];
             let direct = c.transmittance * dot(&splat.channels, g);
             let d_alpha = direct - dot(&suffix, g) / (T::one() - c.alpha);

@@ -53,8 +53,8 @@ fn has_headers() -> bool {
     let folder = set.or_else(|| {
         let usual = ["/usr/local/cuda", "/opt/cuda"].map(PathBuf::from);
         let nvcc = PathBuf::from("/usr/bin/nvcc");
-        let found = usual.into_iter().find(|folder| folder.exists());
-        found.or_else(|| nvcc.exists().then(|| PathBuf::from("/usr")))
+        let folder = usual.into_iter().find(|folder| folder.exists());
+        folder.or_else(|| nvcc.exists().then(|| PathBuf::from("/usr")))
     });
     folder.is_some_and(|folder| folder.join("include").join("cuda_runtime.h").is_file())
 }
@@ -138,9 +138,9 @@ mod tests {
 
     #[test]
     fn missing_cuda_libraries_are_named_and_disable_the_adapters() {
-        let (missing, found) = (missing(), adapters());
+        let (missing, adapters) = (missing(), adapters());
         if !has_driver() {
-            assert!(found.is_empty(), "{found:?}");
+            assert!(adapters.is_empty(), "{adapters:?}");
             assert!(
                 missing
                     .as_ref()
@@ -148,7 +148,7 @@ mod tests {
                 "{missing:?}"
             );
         }
-        for adapter in &found {
+        for adapter in &adapters {
             assert_eq!(adapter.api, "CUDA");
             assert!(
                 !adapter.name.is_empty() && adapter.max_units >= 256,

@@ -140,12 +140,12 @@ fn graphics_adapters() -> Vec<Adapter> {
         wgpu::Backends::METAL,
         wgpu::Backends::DX12,
     ] {
-        let found = adapters_of(backend);
-        if found.iter().any(|a| a.kind != AdapterKind::Software) {
-            return found;
+        let adapters = adapters_of(backend);
+        if adapters.iter().any(|a| a.kind != AdapterKind::Software) {
+            return adapters;
         }
-        if !found.is_empty() {
-            software_only.get_or_insert(found);
+        if !adapters.is_empty() {
+            software_only.get_or_insert(adapters);
         }
     }
     software_only.unwrap_or_default()
@@ -155,16 +155,16 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
     let mut settings = wgpu::InstanceDescriptor::new_without_display_handle();
     settings.backends = backend;
     let instance = wgpu::Instance::new(settings);
-    let found = block_on(instance.enumerate_adapters(backend));
+    let adapters = block_on(instance.enumerate_adapters(backend));
     // with its last instance a driver is unloaded, and threads that used NVIDIA's crash when they
     // end
     INSTANCES
         .lock()
         .unwrap_or_else(PoisonError::into_inner)
         .push(instance);
-    let mut seen = [0usize; 5];
+    let mut counts = [0usize; 5];
     let mut out = Vec::new();
-    for (index, adapter) in found.iter().enumerate() {
+    for (index, adapter) in adapters.iter().enumerate() {
         let (info, limits) = (adapter.get_info(), adapter.limits());
         let (kind, slot) = match info.device_type {
             DeviceType::DiscreteGpu => (AdapterKind::Discrete, 0),
@@ -191,9 +191,9 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
             max_units,
             max_shared_bytes,
             unfit: unfit(max_units, max_shared_bytes),
-            place: Place::Wgpu(slot, seen[usize::from(slot)]),
+            place: Place::Wgpu(slot, counts[usize::from(slot)]),
         });
-        seen[usize::from(slot)] += 1;
+        counts[usize::from(slot)] += 1;
     }
     out
 }
@@ -275,12 +275,15 @@ impl Gpu {
                 .iter()
                 .map(|a| format!("{}: {}", a.index, a.name))
                 .collect();
-            let found = if names.is_empty() {
+            let list = if names.is_empty() {
                 "none".to_owned()
             } else {
                 names.join(", ")
             };
-            return Err(GpuError::NoAdapter { wanted, found });
+            return Err(GpuError::NoAdapter {
+                wanted,
+                found: list,
+            });
         };
         Self::start(adapter)
     }

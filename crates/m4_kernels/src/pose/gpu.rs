@@ -23,16 +23,16 @@ mod moment;
 const LEAST: f32 = super::LEAST_PRESENCE;
 
 /// Carries the bound splats of `splats`, which `bound` has, to `t`, frames, the instant of `eye`.
-/// Gradients of nodes at `known` keys will be added to.
+/// Gradients of nodes at `existing_keys` will be added to.
 pub(crate) fn pose(
     bound: &Bound,
     gpu: &Gpu,
     splats: &DeviceSplats,
     eye: &Buffer,
     t: f32,
-    known: &[(usize, usize)],
+    existing_keys: &[(usize, usize)],
 ) -> Moment {
-    let moment = Moment::new(gpu, &bound.windows, &bound.starts, t, known);
+    let moment = Moment::new(gpu, &bound.windows, &bound.starts, t, existing_keys);
     let client = &gpu.client;
     let units_of_nodes = moment.active * moment.most;
     if units_of_nodes > 0 {

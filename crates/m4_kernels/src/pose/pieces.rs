@@ -366,15 +366,15 @@ mod tests {
         let mut counts = Vec::new();
         for tolerance in [50.0, 0.3, 0.08] {
             let splats = circling(0.15, &[(0.9, life)]);
-            let made = pieces(&splats, [0.0, LAST], |_, _| 0.01, tolerance);
+            let result = pieces(&splats, [0.0, LAST], |_, _| 0.01, tolerance);
             assert!(
-                f64::from(made.errors_px[0]) <= tolerance,
+                f64::from(result.errors_px[0]) <= tolerance,
                 "{:?}",
-                made.errors_px
+                result.errors_px
             );
-            counts.push(made.count);
-            let out = &made.splats;
-            for i in 0..made.count {
+            counts.push(result.count);
+            let out = &result.splats;
+            for i in 0..result.count {
                 let get = |column, k| f64::from(out.column(column, k)[i]);
                 let (t, sd) = (get(Column::TimeMean, 0), get(Column::LogTimeSd, 0).exp());
                 for dt in [-1.0, -0.3, 0.0, 0.8, 1.17].map(|x| x * sd) {
@@ -404,16 +404,16 @@ mod tests {
             n_dynamic: 40,
             ..SceneSpec::default()
         });
-        let made = pieces(&scene.splats, [0.0, 9.0], |_, _| 0.02, 0.5);
-        let (out, from) = (&made.splats, &scene.splats);
-        assert!(out.bindings().is_empty() && out.is_finite() && made.errors_px.len() == 20);
-        assert_eq!((out.n_static(), out.n_dynamic()), (7, made.count + 20));
+        let result = pieces(&scene.splats, [0.0, 9.0], |_, _| 0.02, 0.5);
+        let (out, from) = (&result.splats, &scene.splats);
+        assert!(out.bindings().is_empty() && out.is_finite() && result.errors_px.len() == 20);
+        assert_eq!((out.n_static(), out.n_dynamic()), (7, result.count + 20));
         let all: Vec<u32> = (0..out.n() as u32).collect();
-        let rest = [&all[..7], &all[7 + made.count..]].concat();
-        let kept: Vec<u32> = (0..7).chain(27..47).collect();
+        let rest = [&all[..7], &all[7 + result.count..]].concat();
+        let rows: Vec<u32> = (0..7).chain(27..47).collect();
         assert_eq!(
             out.gather(&rest).unwrap().columns(),
-            from.gather(&kept).unwrap().columns()
+            from.gather(&rows).unwrap().columns()
         );
         assert_eq!(at(from, 50.0).n_static(), 7, "windows end");
         let late = circling(0.1, &[(0.5, [30.0, 40.0])]);

@@ -33,7 +33,7 @@ struct Group {
     /// From the first row of the chunk.
     at: u32,
     /// Lanes that reach a tile.
-    seen: u16,
+    lanes: u16,
     /// Where the group's entries of [`Chunk::parts`] end; they start where those of the one before
     /// end.
     parts_end: u32,
@@ -108,7 +108,7 @@ impl Chunk {
     pub(crate) fn visible(&self) -> usize {
         self.groups
             .iter()
-            .map(|g| g.seen.count_ones() as usize)
+            .map(|g| g.lanes.count_ones() as usize)
             .sum()
     }
 
@@ -166,7 +166,7 @@ impl Chunk {
             }
             from = group.parts_end as usize;
             let marginals = self.marginals.get(index).unwrap_or(&[1.0; LANES]);
-            for lane in crate::simd::lanes(group.seen) {
+            for lane in crate::simd::lanes(group.lanes) {
                 out[group.at as usize + lane] += marginals[lane] * sums[lane];
             }
         }

@@ -106,8 +106,8 @@ fn group<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     if !extent.on.any_true() {
         return;
     }
-    let seen = emit(s, chunk, at, eye, &ellipse, &extent);
-    if seen == 0 {
+    let lanes = emit(s, chunk, at, eye, &ellipse, &extent);
+    if lanes == 0 {
         return;
     }
     let rgb = shade::shade(s, c, row, &sight(s, c, eye, &place.offset, splat.dt));
@@ -140,7 +140,7 @@ fn group<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     out[(LANES - 1) * FIELDS..].copy_from_slice(&last[..FIELDS]);
     chunk.groups.push(Group {
         at: at as u32,
-        seen,
+        lanes,
         parts_end: chunk.parts.len() as u32,
     });
     if DYNAMIC {
@@ -159,7 +159,7 @@ fn emit<S: Simd>(
     extent: &Extent<S>,
 ) -> u16 {
     let row = (chunk.place + at) as u32;
-    let mut seen = 0;
+    let mut visible_lanes = 0;
     for band in extent.bands() {
         // neighbours are mostly in neighbouring bands, but need not be
         if !extent.may_reach(s, band) {
@@ -173,10 +173,10 @@ fn emit<S: Simd>(
                 band: band as u16,
                 lanes,
             });
-            seen |= lanes;
+            visible_lanes |= lanes;
         }
     }
-    seen
+    visible_lanes
 }
 
 #[simd]
@@ -286,7 +286,7 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
 
     let zero = all(s, 0.0);
     if let Some(camera) = camera {
-        let on = mask32x16::from_bitmask(s, u64::from(group.seen));
+        let on = mask32x16::from_bitmask(s, u64::from(group.lanes));
         let lens = project::lens_backward(s, eye, &place, &ellipse, &d);
         for i in 0..3 {
             let tau = d.point[i] + dot(&all3(s, &eye.rotation[i]), &seen_from.offset);
@@ -301,7 +301,7 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     // composited somewhere: every blended pixel adds to a colour's sum, or had no gradient to give
     let colour = d_rgb[0].abs() + d_rgb[1].abs() + d_rgb[2].abs();
     let size = moments.weight.abs() + colour;
-    let touched = bits(size.simd_gt(zero)) & group.seen;
+    let touched = bits(size.simd_gt(zero)) & group.lanes;
     match out.touched.get_mut(at..at + LANES) {
         Some(flags) => {
             for (lane, flag) in flags.iter_mut().enumerate() {

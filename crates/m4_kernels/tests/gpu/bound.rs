@@ -142,8 +142,8 @@ fn bound_splats_have_the_same_bits_every_time() {
         let rows = splats.bound();
         let bits = |c: &Vec<f32>| -> Vec<u32> {
             let first = splats.n() - c.len();
-            let seen = rows.clone().filter(|&row| out.touched[row] != 0);
-            seen.map(|row| c[row - first].to_bits()).collect()
+            let touched_rows = rows.clone().filter(|&row| out.touched[row] != 0);
+            touched_rows.map(|row| c[row - first].to_bits()).collect()
         };
         let columns: Vec<Vec<u32>> = out.columns.iter().map(bits).collect();
         (frame, nodes, columns)

@@ -64,15 +64,15 @@ pub fn assert_same_gradients(what: &str, got: &Gradients, want: &Gradients) {
         .collect();
     for (c, (got, want)) in got.columns.iter().zip(&want.columns).enumerate() {
         let first = both.len() - want.len();
-        let seen = |column: &[f32]| -> Vec<f64> {
+        let touched_values = |column: &[f32]| -> Vec<f64> {
             let rows = column.iter().zip(&both[first..]).filter(|(_, both)| **both);
             rows.map(|(&v, _)| f64::from(v)).collect()
         };
         // a contribution that only one of them has is a thousandth of a large gradient
         assert_gradient(
             &format!("{what}, column {c}"),
-            &seen(got),
-            &seen(want),
+            &touched_values(got),
+            &touched_values(want),
             5e-3,
         );
     }

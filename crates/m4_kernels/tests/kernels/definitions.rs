@@ -122,9 +122,9 @@ fn a_pixel_stops_before_its_transmittance_runs_out() {
         // fits again, but the pixel is finished
         disc(0.0, 0.0, 1.0, 0.5),
     ];
-    let mut seen = Vec::new();
-    let left = walk::<f64, Hard>(&splats, 0, 0, |c| seen.push(c.index));
-    assert_eq!(seen, [0, 1, 2]);
+    let mut indices = Vec::new();
+    let left = walk::<f64, Hard>(&splats, 0, 0, |c| indices.push(c.index));
+    assert_eq!(indices, [0, 1, 2]);
     assert!((left - 1e-3).abs() < 1e-15);
 }
 

@@ -192,9 +192,9 @@ fn step_nodes(
             if UNIT_POS == 0u32 {
                 steps[key] = count;
             }
-            let taken = f32::cast_from(count);
-            let bias1 = 1.0f32 / (1.0f32 - (taken * beta1.ln()).exp());
-            let bias2 = 1.0f32 / (1.0f32 - (taken * beta2.ln()).exp());
+            let n_steps = f32::cast_from(count);
+            let bias1 = 1.0f32 / (1.0f32 - (n_steps * beta1.ln()).exp());
+            let bias2 = 1.0f32 / (1.0f32 - (n_steps * beta2.ln()).exp());
             let mut node = UNIT_POS;
             while node < nodes {
                 if has_gradient(gradients, first + node) {

@@ -134,13 +134,13 @@ pub(crate) fn blend_backward(
                     let raw = (exponent * LN_2).exp();
                     let alpha = raw.min(ALPHA_MAX);
                     let blended = light * alpha;
-                    let seen = gr * red + gg * green + gb * blue;
+                    let d_blended = gr * red + gg * green + gb * blue;
                     d_red += blended * gr;
                     d_green += blended * gg;
                     d_blue += blended * gb;
-                    let behind = behinds[at] - blended * seen;
+                    let behind = behinds[at] - blended * d_blended;
                     if raw < ALPHA_MAX {
-                        let omega = (light * seen - behind / (1.0f32 - alpha)) * alpha;
+                        let omega = (light * d_blended - behind / (1.0f32 - alpha)) * alpha;
                         weight += omega;
                         wx += omega * dx;
                         wy += omega * dy;

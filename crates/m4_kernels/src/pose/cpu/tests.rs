@@ -116,7 +116,7 @@ fn the_fast_version_agrees_with_the_reference() {
             .iter_mut()
             .for_each(|column| column.fill_with(|| rng.normal() as f32));
         gradients.touched[splats.bound()].fill(1);
-        let given = gradients.clone();
+        let upstream = gradients.clone();
         posed.backward(&splats, &mut gradients);
         let mut nodes = vec![vec![[0.0f64; 6]; NODES]; 2];
         for i in 0..BOUND {
@@ -129,7 +129,7 @@ fn the_fast_version_agrees_with_the_reference() {
             alive += 1;
             let want = reference::carry(&carriers, &splat, dt, presence);
             let get = |column, k: usize, at: usize| {
-                f64::from(given.columns[layout.column(column) + k][at])
+                f64::from(upstream.columns[layout.column(column) + k][at])
             };
             let g = Carried {
                 mean: Vector3::from_fn(|k, _| get(Column::Mean, k, row)),
@@ -185,12 +185,12 @@ fn the_fast_version_agrees_with_the_reference() {
                 (0..3).for_each(|k| sum[3 + k] += turn[k]);
             }
         }
-        for found in &gradients.nodes {
-            for (got, want) in found
+        for gradient in &gradients.nodes {
+            for (got, want) in gradient
                 .nodes
                 .iter()
                 .flatten()
-                .zip(nodes[found.window].iter().flatten())
+                .zip(nodes[gradient.window].iter().flatten())
             {
                 close(*got, *want, "gradient of a node");
             }

@@ -76,11 +76,11 @@ pub(super) fn node_sums(
                 let code = entries[entry as usize];
                 let j = (code / 4u32) as usize;
                 let row = n_static as usize + j;
-                let mut seen = touched[row] != 0u32;
-                if seen {
-                    seen = presence(bindings, table, j, bound, t) > 0.0f32;
+                let mut is_touched = touched[row] != 0u32;
+                if is_touched {
+                    is_touched = presence(bindings, table, j, bound, t) > 0.0f32;
                 }
-                if seen {
+                if is_touched {
                     let weight =
                         f32::reinterpret(bindings[(WEIGHT + (code % 4u32) as usize) * bound + j]);
                     let g = v3_in(d_geometry, 0u32, rows, row);

@@ -50,13 +50,13 @@ impl Moment {
     }
 
     /// The windows at `t`, frames; `starts` are the first node and the first pose of each.
-    /// Gradients of the nodes at `known` keys are added to.
+    /// Gradients of the nodes at `existing_keys` are added to.
     pub fn new(
         gpu: &Gpu,
         windows: &[Window],
         starts: &[[usize; 2]],
         t: f32,
-        known: &[(usize, usize)],
+        existing_keys: &[(usize, usize)],
     ) -> Self {
         let (mut table, mut active, mut most, mut keys) = (Vec::new(), Vec::new(), 0, Vec::new());
         for (index, (window, &[first, poses])) in windows.iter().zip(starts).enumerate() {
@@ -73,7 +73,7 @@ impl Moment {
             let mut add = 0;
             if let Some(key) = window.key_at(t).filter(|_| near) {
                 key_at = (poses + key * nodes) as u32;
-                add = u32::from(known.contains(&(index, key)));
+                add = u32::from(existing_keys.contains(&(index, key)));
                 keys.push((index, key));
             }
             let half = (FADE * window.gap()).to_bits();

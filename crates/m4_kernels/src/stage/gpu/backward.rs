@@ -57,7 +57,7 @@ pub(crate) fn project_backward(
     if i < n {
         let at = i as usize;
         let rows = n as usize;
-        let mut seen = 0u32;
+        let mut touch_flag = 0u32;
         if count > 0u32 {
             let sum = sum_of_slots(offsets[at], count, sums);
             let (weight, mx, my) = (sum[0], sum[1], sum[2]);
@@ -65,7 +65,7 @@ pub(crate) fn project_backward(
             let (d_red, d_green, d_blue) = (sum[6], sum[7], sum[8]);
             let size = weight.abs() + d_red.abs() + d_green.abs() + d_blue.abs();
             if size > 0.0f32 {
-                seen = 1u32;
+                touch_flag = 1u32;
             }
             let carried = carried(i, n_static, n_still);
             let life = life(
@@ -204,7 +204,7 @@ pub(crate) fn project_backward(
                 d_time[4 * dynamic + j] = mean.z * life.dt;
             }
         }
-        touched[at] = seen;
+        touched[at] = touch_flag;
     }
     if comptime!(with_camera) {
         write_parts(&share, camera, 10usize);

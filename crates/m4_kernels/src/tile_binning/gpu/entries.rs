@@ -54,7 +54,7 @@ pub(crate) fn emit(
         let splat = cube + owner;
         let nth = t - starts[owner as usize];
         let reach = reach_of(reaches, splat, eye);
-        let (tile, made) = nth_tile(&reach, nth, across);
+        let (tile, n_tiles) = nth_tile(&reach, nth, across);
         if tile != NO_TILE {
             let slot = offsets[splat as usize] + nth;
             write_entry(
@@ -62,8 +62,8 @@ pub(crate) fn emit(
             );
         }
         // the first that was counted and is not there
-        if tile == NO_TILE && nth == made {
-            counts[splat as usize] = made;
+        if tile == NO_TILE && nth == n_tiles {
+            counts[splat as usize] = n_tiles;
         }
         t += 256u32;
     }
@@ -103,7 +103,7 @@ pub(crate) fn emit_large(
         let slot = offsets[splat as usize];
         let reach = reach_of(reaches, splat, eye);
         let (first, end) = tile_rows(&reach, SLACK_PX);
-        let mut made = 0u32;
+        let mut n_entries = 0u32;
         let mut top = first;
         while top < end {
             let row = top + UNIT_POS;
@@ -123,13 +123,13 @@ pub(crate) fn emit_large(
             }
             let tiles = workgroup_uniform_load(&all[0]);
             let mut t = UNIT_POS;
-            while t < tiles.min(count - made) {
+            while t < tiles.min(count - n_entries) {
                 let row = last_from(&starts, t) as usize;
                 let tile = firsts[row] + t - starts[row];
                 write_entry(
                     tile,
                     splat,
-                    slot + made + t,
+                    slot + n_entries + t,
                     depths,
                     ranges,
                     cursors,
@@ -139,12 +139,12 @@ pub(crate) fn emit_large(
                 );
                 t += 256u32;
             }
-            made += tiles.min(count - made);
+            n_entries += tiles.min(count - n_entries);
             top += 256u32;
             sync_cube();
         }
         if UNIT_POS == 0u32 {
-            counts[splat as usize] = made;
+            counts[splat as usize] = n_entries;
         }
         next += CUBE_COUNT as u32;
     }
@@ -209,16 +209,16 @@ const NO_TILE: u32 = 0xffff_ffff;
 #[cube]
 fn nth_tile(reach: &Reach, nth: u32, across: u32) -> (u32, u32) {
     let mut tile = NO_TILE.runtime();
-    let mut made = 0u32;
+    let mut count = 0u32;
     let (first, end) = tile_rows(reach, SLACK_PX);
     let mut row = first;
     while row < end && tile == NO_TILE {
         let (left, right) = tile_span(reach, row, SLACK_PX);
-        if nth < made + right - left {
-            tile = row * across + left + nth - made;
+        if nth < count + right - left {
+            tile = row * across + left + nth - count;
         }
-        made += right - left;
+        count += right - left;
         row += 1u32;
     }
-    (tile, made)
+    (tile, count)
 }
