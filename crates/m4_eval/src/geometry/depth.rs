@@ -162,9 +162,9 @@ pub(super) fn mask_score(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<Mas
         for y in 0..t.size().1 {
             for x in 0..t.size().0 {
                 let moving = t.at(x, y);
-                let found = is_set(e, (x, y), t.size());
-                b += usize::from(moving && found);
-                n_e += usize::from(found);
+                let in_estimate = is_set(e, (x, y), t.size());
+                b += usize::from(moving && in_estimate);
+                n_e += usize::from(in_estimate);
                 n_t += usize::from(moving);
             }
         }

@@ -39,11 +39,11 @@ fn by_name(estimate: &Side<'_>, truth: &Side<'_>) -> Option<Vec<(usize, usize)>>
             return None;
         }
     }
-    let mut seen = vec![false; truth.frames.len()];
+    let mut used = vec![false; truth.frames.len()];
     let mut pairs = Vec::with_capacity(estimate.frames.len());
     for (i, frame) in estimate.frames.iter().enumerate() {
         let &j = index.get(stem(&frame.name))?;
-        if std::mem::replace(&mut seen[j], true) {
+        if std::mem::replace(&mut used[j], true) {
             return None;
         }
         pairs.push((i, j));

@@ -190,12 +190,12 @@ fn frame_errors(
     truth: &CaptureFrame,
     scale: f64,
 ) -> BTreeMap<u16, InFrame> {
-    let mut found: BTreeMap<u16, InFrame> = BTreeMap::new();
+    let mut objects: BTreeMap<u16, InFrame> = BTreeMap::new();
     let (Some(own_mask), Some(true_mask)) = (&estimate.mask, &truth.mask) else {
-        return found;
+        return objects;
     };
     let (Some(own), Some(depth)) = (&estimate.depth, &truth.depth) else {
-        return found;
+        return objects;
     };
     let size = true_mask.size();
     for (x, y) in true_mask.set_pixels() {
@@ -204,7 +204,7 @@ fn frame_errors(
             None => 0,
             Some(ids) => in_size(ids.size()).map_or(0, |(x, y)| ids.at(x, y)),
         };
-        let object = found.entry(id).or_default();
+        let object = objects.entry(id).or_default();
         object.of = size.0 * size.1;
         object.pixels += 1;
         if !is_set(own_mask, (x, y), size) {
@@ -224,7 +224,7 @@ fn frame_errors(
                 .push((scale * f64::from(own) / f64::from(depth)).ln());
         }
     }
-    found
+    objects
 }
 
 #[cfg(test)]
@@ -258,11 +258,11 @@ mod tests {
         estimate
     }
 
-    fn near(found: Option<f64>, expected: f64) {
-        let found = found.unwrap();
+    fn near(actual: Option<f64>, expected: f64) {
+        let actual = actual.unwrap();
         assert!(
-            (found - expected).abs() < 2e-3,
-            "{found} instead of {expected}"
+            (actual - expected).abs() < 2e-3,
+            "{actual} instead of {expected}"
         );
     }
 
@@ -277,16 +277,16 @@ mod tests {
             4 | 5 => (drift(i) + 0.01).exp(),
             _ => (drift(i) - 0.01).exp(),
         });
-        let found = errors(&estimate, &truth(n));
+        let actual = errors(&estimate, &truth(n));
         assert_eq!(
-            found
+            actual
                 .iter()
                 .map(|o| (o.id, o.frames, o.missed))
                 .collect::<Vec<_>>(),
             [(1, n, 0.0), (2, n, 0.0)]
         );
         let far = 1.05f64.ln();
-        for (object, [distance, constant, drift, relief]) in found
+        for (object, [distance, constant, drift, relief]) in actual
             .iter()
             .zip([[far, far, 0.0, 0.0], [0.02, 0.0, 0.02, 0.01]])
         {
@@ -316,11 +316,11 @@ mod tests {
         for frame in &mut estimate.frames {
             frame.mask = Some(CompactMask::from_fn(16, 12, |x, _| (2..4).contains(&x)));
         }
-        let found = errors(&estimate, &truth(4));
-        assert_eq!(found[0].missed, 0.5);
-        near(found[0].distance, 0.0);
+        let actual = errors(&estimate, &truth(4));
+        assert_eq!(actual[0].missed, 0.5);
+        near(actual[0].distance, 0.0);
         assert_eq!(
-            (found[1].missed, found[1].distance, found[1].frames),
+            (actual[1].missed, actual[1].distance, actual[1].frames),
             (1.0, None, 0)
         );
     }

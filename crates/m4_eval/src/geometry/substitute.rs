@@ -75,11 +75,11 @@ impl<'a> Substitutes<'a> {
     /// [`GeometryError`] if frames cannot be paired, depth or masks are missing, or the cameras do
     /// not determine the similarity.
     pub fn new(estimate: &Capture, truth: &'a Capture) -> Result<Self, GeometryError> {
-        let (own, known) = (training(estimate), training(truth));
-        let (_, index) = pair(&own, &known)?;
+        let (own, reference) = (training(estimate), training(truth));
+        let (_, index) = pair(&own, &reference)?;
         let pairs: Vec<(&CaptureFrame, &CaptureFrame)> = index
             .iter()
-            .map(|&(e, t)| (own.frames[e], known.frames[t]))
+            .map(|&(e, t)| (own.frames[e], reference.frames[t]))
             .collect();
         let complete = |f: &CaptureFrame| f.depth.is_some() && f.mask.is_some();
         if let Some((e, t)) = pairs.iter().find(|(e, t)| !complete(e) || !complete(t)) {
@@ -88,9 +88,9 @@ impl<'a> Substitutes<'a> {
                 e.name, t.name
             )));
         }
-        let (cameras, known): (Vec<Camera>, Vec<Camera>) =
+        let (cameras, true_cameras): (Vec<Camera>, Vec<Camera>) =
             pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
-        let map = placement(&cameras, &known);
+        let map = placement(&cameras, &true_cameras);
         let (Some(map), Some(depth)) = (map, depth_error(&pairs)) else {
             return Err(GeometryError(
                 "the cameras of one side do not move, so the estimate cannot be placed in the true world".to_owned(),
@@ -304,10 +304,10 @@ mod tests {
         let all = Substitutes::new(&own, &truth).unwrap();
         let of = |what| all.capture(what).frames.swap_remove(2);
         let depth = |what, at: (usize, usize)| of(what).depth.unwrap().at(at.0, at.1);
-        let close = |found: f32, expected: f32| {
+        let close = |actual: f32, expected: f32| {
             assert!(
-                (found - expected).abs() < 2e-3,
-                "{found} instead of {expected}"
+                (actual - expected).abs() < 2e-3,
+                "{actual} instead of {expected}"
             )
         };
         // as estimated, in the true unit; rows 0 and 1 of a dynamic column, the missed column, a

@@ -91,13 +91,13 @@ mod tests {
             .flat_map(|y| (80..120).map(move |x| (x, y)))
             .collect();
         // what the reference shows at (x, y) the image shows at (x - 5, y - 4)
-        let found = best_shift(&texture(5, 4), &texture(0, 0), &region)
+        let actual = best_shift(&texture(5, 4), &texture(0, 0), &region)
             .unwrap()
             .unwrap();
-        assert_eq!(found.by_px, [5, 4]);
+        assert_eq!(actual.by_px, [5, 4]);
         assert!(
-            found.aligned_db == super::MAX_PSNR_DB && found.placed_db < 30.0,
-            "{found:?}"
+            actual.aligned_db == super::MAX_PSNR_DB && actual.placed_db < 30.0,
+            "{actual:?}"
         );
         let none = best_shift(&texture(0, 0), &texture(0, 0), &region)
             .unwrap()

@@ -40,19 +40,19 @@ impl CovisibleCounts {
         }
     }
 
-    /// Adds a training frame, which saw the pixels of the test image that are not 0 in `seen`.
+    /// Adds a training frame: it sees the pixels of the test image that are not 0 in `mask`.
     ///
     /// # Errors
     ///
-    /// [`ImageError`] if `seen` has another size.
-    pub fn add(&mut self, seen: &Mask) -> Result<(), ImageError> {
+    /// [`ImageError`] if `mask` has another size.
+    pub fn add(&mut self, mask: &Mask) -> Result<(), ImageError> {
         same_size(
             "the mask of what a training frame saw",
             self.counts.size(),
-            seen.size(),
+            mask.size(),
         )?;
-        for (count, &seen) in self.counts.data_mut().iter_mut().zip(seen.data()) {
-            *count += u32::from(seen != 0);
+        for (count, &visible) in self.counts.data_mut().iter_mut().zip(mask.data()) {
+            *count += u32::from(visible != 0);
         }
         self.frames += 1;
         Ok(())
@@ -110,18 +110,18 @@ pub fn seen_by_depth(
     test.check("the depth of the test image")?;
     training.check("the depth of a training frame")?;
     let (width, height) = training.depth.size();
-    let seen = |x: usize, y: usize| {
+    let visible = |x: usize, y: usize| {
         let z = test.at(x, y)?;
         let world = test.camera.unproject(x as f64, y as f64, z);
         let ([u, v], z) = training.camera.project(&world);
         let (u, v) = (u.round(), v.round());
         let inside = z > 0.0 && u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
-        let there = inside.then(|| training.at(u as usize, v as usize))??;
-        ((z - there).abs() <= tolerance * there).then_some(())
+        let training_depth = inside.then(|| training.at(u as usize, v as usize))??;
+        ((z - training_depth).abs() <= tolerance * training_depth).then_some(())
     };
     let (width, height) = test.depth.size();
     Ok(Plane::from_fn(width, height, |x, y| {
-        if seen(x, y).is_some() { 255 } else { 0 }
+        if visible(x, y).is_some() { 255 } else { 0 }
     }))
 }
 
@@ -136,8 +136,8 @@ mod tests {
         assert_eq!([0, 59, 60, 435].map(too_few_frames), [5, 5, 6, 43]);
         let mut counts = CovisibleCounts::new(4, 1);
         for i in 0..7 {
-            let seen = Plane::from_fn(4, 1, |x, _| if i < [0, 5, 6, 7][x] { 1 } else { 0 });
-            counts.add(&seen).unwrap();
+            let mask = Plane::from_fn(4, 1, |x, _| if i < [0, 5, 6, 7][x] { 1 } else { 0 });
+            counts.add(&mask).unwrap();
         }
         assert_eq!(counts.mask().data(), [0, 0, 255, 255]);
         assert!(counts.add(&Plane::filled(1, 4, 1)).is_err());
@@ -157,7 +157,7 @@ mod tests {
     /// seen.
     #[test]
     fn occluded_pixels_are_not_covisible() {
-        let (here, there) = (camera(0.0), camera(1.0));
+        let (here, other) = (camera(0.0), camera(1.0));
         // the box spans x from 0 to 1 in the world: columns 10..15 here, 5..10 there
         let of = |first: usize| {
             Plane::from_fn(20, 10, move |x, _| {
@@ -170,7 +170,7 @@ mod tests {
         };
         let (a, b) = (of(10), of(5));
         let view = |camera, depth| DepthView { camera, depth };
-        let seen = seen_by_depth(view(&here, &a), view(&there, &b), DEPTH_TOLERANCE).unwrap();
+        let mask = seen_by_depth(view(&here, &a), view(&other, &b), DEPTH_TOLERANCE).unwrap();
         for y in 0..10 {
             for x in 0..20 {
                 // wall: moves by 2.5 columns; box: by 5
@@ -181,34 +181,34 @@ mod tests {
                 };
                 let edge = [2, 3, 7, 8, 12, 13].contains(&x);
                 assert!(
-                    edge || (seen[(x, y)] == 255) == want,
+                    edge || (mask[(x, y)] == 255) == want,
                     "{x}, {y}: {}",
-                    seen[(x, y)]
+                    mask[(x, y)]
                 );
             }
         }
-        let count = seen.data().iter().filter(|&&m| m != 0).count();
+        let count = mask.data().iter().filter(|&&m| m != 0).count();
         assert!((130..170).contains(&count), "{count}");
     }
 
     #[test]
     fn the_depth_tolerance_is_relative_and_unknown_depth_is_not_covisible() {
-        let (here, there) = (camera(0.0), camera(0.0));
+        let (first, other) = (camera(0.0), camera(0.0));
         let flat = |z: f32| Plane::filled(20, 10, z);
         let share = |a: f32, b: f32, tolerance| {
             let (a, b) = (flat(a), flat(b));
             let (test, training) = (
                 DepthView {
-                    camera: &here,
+                    camera: &first,
                     depth: &a,
                 },
                 DepthView {
-                    camera: &there,
+                    camera: &other,
                     depth: &b,
                 },
             );
-            let seen = seen_by_depth(test, training, tolerance).unwrap();
-            seen.data().iter().filter(|&&m| m != 0).count() as f64 / 200.0
+            let mask = seen_by_depth(test, training, tolerance).unwrap();
+            mask.data().iter().filter(|&&m| m != 0).count() as f64 / 200.0
         };
         assert_eq!(
             (
@@ -223,7 +223,7 @@ mod tests {
             assert_eq!((share(bad, 4.0, 0.05), share(4.0, bad, 0.05)), (0.0, 0.0));
         }
         // behind the training camera
-        let mut opposite = there;
+        let mut opposite = other;
         opposite.c2w.rotation[(0, 0)] = -1.0;
         opposite.c2w.rotation[(2, 2)] = -1.0;
         let depth = flat(4.0);
@@ -231,13 +231,13 @@ mod tests {
             camera,
             depth: &depth,
         };
-        let seen = seen_by_depth(view(&here), view(&opposite), 0.05).unwrap();
-        assert!(seen.data().iter().all(|&m| m == 0));
+        let mask = seen_by_depth(view(&first), view(&opposite), 0.05).unwrap();
+        assert!(mask.data().iter().all(|&m| m == 0));
         let small = Plane::filled(19, 10, 4.0);
         let small = DepthView {
-            camera: &here,
+            camera: &first,
             depth: &small,
         };
-        assert!(seen_by_depth(small, view(&there), 0.05).is_err());
+        assert!(seen_by_depth(small, view(&other), 0.05).is_err());
     }
 }

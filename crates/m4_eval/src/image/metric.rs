@@ -157,14 +157,14 @@ pub struct ImageError(pub(super) String);
 pub(super) fn same_size(
     what: &'static str,
     expected: (usize, usize),
-    found: (usize, usize),
+    actual: (usize, usize),
 ) -> Result<(), ImageError> {
-    if expected == found {
+    if expected == actual {
         return Ok(());
     }
     Err(ImageError(format!(
         "{what} is {}x{} but the reference is {}x{}; render or resize to the size of the reference first",
-        found.0, found.1, expected.0, expected.1
+        actual.0, actual.1, expected.0, expected.1
     )))
 }
 
@@ -219,10 +219,10 @@ impl PlanarImage {
         planes: [&[f32]; 3],
     ) -> Result<Self, ImageError> {
         for (channel, plane) in planes.iter().enumerate() {
-            let (expected, found) = (width * height, plane.len());
-            if found != expected {
+            let (expected, count) = (width * height, plane.len());
+            if count != expected {
                 return Err(ImageError(format!(
-                    "an image of {width}x{height} needs planes of {expected} values; channel {channel} has {found}"
+                    "an image of {width}x{height} needs planes of {expected} values; channel {channel} has {count}"
                 )));
             }
             if let Some(i) = plane.iter().position(|v| !v.is_finite()) {

@@ -195,7 +195,7 @@ fn filtered(
     window: &Window,
 ) -> Vec<f64> {
     let (out_w, out_h) = (width + 1 - window.side(), height + 1 - window.side());
-    let kept: Vec<bool> = match mask {
+    let valid: Vec<bool> = match mask {
         Some(mask) => mask.data().iter().map(|&m| m != 0).collect(),
         None => vec![true; values.len()],
     };
@@ -204,7 +204,7 @@ fn filtered(
         for x in 0..out_w {
             let taps = y * width + x..y * width + x + window.side();
             (rows[y * out_w + x], rows_kept[y * out_w + x]) =
-                mean(taps.map(|i| (values[i], kept[i])), window);
+                mean(taps.map(|i| (values[i], valid[i])), window);
         }
     }
     let mut out = vec![0.0; out_w * out_h];
@@ -220,8 +220,8 @@ fn filtered(
 /// The renormalised sum, and whether anything was in the mask.
 fn mean(values: impl Iterator<Item = (f64, bool)>, window: &Window) -> (f64, bool) {
     let (mut sum, mut count) = (0.0, 0usize);
-    for ((value, kept), weight) in values.zip(&window.taps) {
-        if kept {
+    for ((value, valid), weight) in values.zip(&window.taps) {
+        if valid {
             sum += weight * value;
             count += 1;
         }
@@ -394,7 +394,7 @@ mod tests {
             SsimKind::SkimageUniform,
             SsimKind::DycheckMasked,
         ];
-        let mut seen = Vec::new();
+        let mut scores = Vec::new();
         for kind in kinds {
             let score = |mask| ssim(kind, &a, &b, mask).unwrap();
             let whole = score(None).unwrap();
@@ -404,12 +404,12 @@ mod tests {
             );
             assert_eq!(score(Some(&none)), None, "{kind:?}");
             assert!((ssim(kind, &a, &a, None).unwrap().unwrap() - 1.0).abs() < 1e-12);
-            seen.push(whole);
+            scores.push(whole);
         }
         // over all pixels DyCheck's is the plain one; the others are their own
-        assert!((seen[0] - seen[3]).abs() < 1e-9);
-        seen.truncate(3);
-        seen.sort_by(f64::total_cmp);
-        assert!(seen.windows(2).all(|w| w[1] - w[0] > 1e-5), "{seen:?}");
+        assert!((scores[0] - scores[3]).abs() < 1e-9);
+        scores.truncate(3);
+        scores.sort_by(f64::total_cmp);
+        assert!(scores.windows(2).all(|w| w[1] - w[0] > 1e-5), "{scores:?}");
     }
 }
