@@ -89,9 +89,9 @@ pub fn compose(
     parts: &Parts<'_>,
     compression: Compression,
 ) -> Result<Vec<u8>, PageError> {
-    let found = template.matches(MARKER).count();
-    let Some((before, after)) = template.split_once(MARKER).filter(|_| found == 1) else {
-        return Err(PageError::Marker(found));
+    let count = template.matches(MARKER).count();
+    let Some((before, after)) = template.split_once(MARKER).filter(|_| count == 1) else {
+        return Err(PageError::Marker(count));
     };
     // In JSON it is nowhere but in strings.
     let json = serde_json::to_string(parts.manifest)?.replace('<', "\\u003c");

@@ -196,7 +196,7 @@ fn page_carries_bound_splats_as_the_renderer_does() {
     page.eval("minute4d.ready");
     assert_eq!(page.eval("minute4d.state().splats"), json!(2300));
     let camera = camera_for(&mut page);
-    let given = Scene {
+    let page_scene = Scene {
         splats: decode(&told(&scene).1).unwrap(),
         ..scene.clone()
     };
@@ -212,7 +212,7 @@ fn page_carries_bound_splats_as_the_renderer_does() {
     for t in [0.0, 2.5, 4.5, 6.8, 9.0] {
         stand(&mut page, &camera, t);
         let image = decoded(&capture(&mut page));
-        let same = psnr_db(&image, &drawn(&given, &camera, t));
+        let same = psnr_db(&image, &drawn(&page_scene, &camera, t));
         let quantised = psnr_db(&image, &drawn(&scene, &camera, t));
         let gone = psnr_db(&image, &drawn(&without, &camera, t));
         eprintln!(
@@ -275,12 +275,12 @@ fn page_matches_the_renderer_from_file_and_server() {
             (i + 1) % 3
         );
     }
-    let given = Scene {
+    let page_scene = Scene {
         splats: decode(&told(&scene).1).unwrap(),
         ..scene.clone()
     };
     for (image, t) in images.iter().zip(TIMES) {
-        let same = psnr_db(image, &drawn(&given, &camera, t));
+        let same = psnr_db(image, &drawn(&page_scene, &camera, t));
         let quantised = psnr_db(image, &drawn(&scene, &camera, t));
         eprintln!(
             "t = {t}: {same:.2} dB from our renderer, {quantised:.2} dB with the quantisation of the page"

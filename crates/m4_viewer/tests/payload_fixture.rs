@@ -179,11 +179,11 @@ fn write_fixtures() {
 
 #[test]
 fn the_fixture_of_bound_splats_matches_the_writer() {
-    let kept: Value = serde_json::from_slice(&std::fs::read(path("turning")).unwrap()).unwrap();
+    let fixture: Value = serde_json::from_slice(&std::fs::read(path("turning")).unwrap()).unwrap();
     let written = turning_fixture();
     for part in ["splats", "payload"] {
         assert_eq!(
-            kept[part], written[part],
+            fixture[part], written[part],
             "write the fixtures again if the layout was changed"
         );
     }
@@ -206,7 +206,7 @@ fn the_fixture_of_bound_splats_matches_the_writer() {
             .collect()
     };
     for part in ["poses", "carried"] {
-        let (a, b) = (numbers(&kept[part]), numbers(&written[part]));
+        let (a, b) = (numbers(&fixture[part]), numbers(&written[part]));
         assert!(a.len() == b.len() && a.len() > 100, "{part}");
         // sines may differ in the last bit from machine to machine
         assert!(
@@ -219,8 +219,10 @@ fn the_fixture_of_bound_splats_matches_the_writer() {
 #[test]
 fn payload_fixtures_match_the_writer() {
     for (name, layout) in layouts() {
-        let kept: Value = serde_json::from_slice(&std::fs::read(path(name)).unwrap()).unwrap();
-        let bytes = STANDARD.decode(kept["payload"].as_str().unwrap()).unwrap();
+        let fixture: Value = serde_json::from_slice(&std::fs::read(path(name)).unwrap()).unwrap();
+        let bytes = STANDARD
+            .decode(fixture["payload"].as_str().unwrap())
+            .unwrap();
         let written = encode(&scene(layout), MEDIAN_DEPTH);
         assert_eq!(
             bytes, written.bytes,
@@ -239,7 +241,7 @@ fn payload_fixtures_match_the_writer() {
         ];
         for (column, absolute, relative) in within {
             let list = |v: &Value| v[column].as_array().unwrap().clone();
-            let (a, b) = (list(&kept["expected"]), list(&back));
+            let (a, b) = (list(&fixture["expected"]), list(&back));
             assert!(a.len() == b.len() && !a.is_empty(), "{name}: {column}");
             for (a, b) in a.iter().zip(&b) {
                 let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());

@@ -67,9 +67,9 @@ impl Place {
         format!("{path}?token={}", self.token)
     }
 
-    /// An open stream of events, from `seen` on.
-    fn listen(&self, seen: u64) -> BufReader<TcpStream> {
-        let target = format!("/events?token={}&seen={seen}", self.token);
+    /// An open stream of events, for a page that shows `version`.
+    fn listen(&self, version: u64) -> BufReader<TcpStream> {
+        let target = format!("/events?token={}&seen={version}", self.token);
         BufReader::new(self.send("GET", &target, &self.host()))
     }
 }
@@ -259,8 +259,8 @@ fn pages_hear_of_scenes_metrics_and_the_end() {
 
 #[test]
 fn a_port_in_use_is_an_error() {
-    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-    let port = taken.local_addr().unwrap().port();
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let port = listener.local_addr().unwrap().port();
     let error = Server::start(Hub::waiting("x"), port).unwrap_err();
     assert!(
         matches!(error, ServeError::InUse(p) if p == port),

@@ -255,15 +255,15 @@ impl<'a> Shown<'a> {
         }
         let logit = splats.column(Column::Opacity, 0);
         let last = scene.time_frames.saturating_sub(1) as f64;
-        let seen =
+        let visible =
             |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last) > ALPHA_MIN;
         let seen_by = |row: usize, depth: f64| {
             finite[row] && 1.0 - (1.0 - sigmoid(logit[row])).powf(depth) > ALPHA_MIN
         };
         Self {
-            fixed: (0..n_static).filter(|&row| seen(row)).collect(),
+            fixed: (0..n_static).filter(|&row| visible(row)).collect(),
             bound: Bound::new(scene, seen_by),
-            free: (bound.end..n).filter(|&row| seen(row)).collect(),
+            free: (bound.end..n).filter(|&row| visible(row)).collect(),
         }
     }
 }

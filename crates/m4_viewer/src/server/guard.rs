@@ -56,15 +56,15 @@ impl Guard {
         let mut named = request.headers().get_all(HOST).iter();
         let host = named.next().and_then(|h| h.to_str().ok());
         let authority = request.uri().authority().map(|a| a.as_str());
-        let known = |name: &str| self.hosts.iter().any(|h| h.eq_ignore_ascii_case(name));
-        host.is_some_and(known) && named.next().is_none() && authority.is_none_or(known)
+        let is_own = |name: &str| self.hosts.iter().any(|h| h.eq_ignore_ascii_case(name));
+        host.is_some_and(is_own) && named.next().is_none() && authority.is_none_or(is_own)
     }
 
     /// True if the token is right. Hashes are compared, which takes the same time whatever they
     /// are.
     fn knows_token(&self, request: &Request) -> bool {
-        let given = query_value(request.uri().query(), "token");
-        given.is_some_and(|token| blake3::hash(token.as_bytes()) == self.digest)
+        let query_token = query_value(request.uri().query(), "token");
+        query_token.is_some_and(|token| blake3::hash(token.as_bytes()) == self.digest)
     }
 }
 

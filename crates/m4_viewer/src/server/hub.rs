@@ -187,11 +187,11 @@ pub(super) async fn stream(
     State(shared): State<Shared>,
     uri: Uri,
 ) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
-    let seen = query_value(uri.query(), "seen").and_then(|v| v.parse().ok());
+    let version = query_value(uri.query(), "seen").and_then(|v| v.parse().ok());
     let listener = Listener {
         pulse: shared.hub.subscribe(),
         hub: shared.hub,
-        version: seen.unwrap_or(0),
+        version: version.unwrap_or(0),
         logged: 0,
         end: None,
     };

@@ -159,17 +159,17 @@ fn router(hub: Arc<Hub>, guard: Arc<Guard>) -> Router {
 }
 
 async fn show_page(State(shared): State<Shared>) -> Response {
-    let made = tokio::task::spawn_blocking(move || {
+    let page = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
         shared.hub.with_parts(token, |parts| {
             page::compose(TEMPLATE, parts, Compression::fast())
         })
     });
-    answer(made.await, "text/html; charset=utf-8")
+    answer(page.await, "text/html; charset=utf-8")
 }
 
 async fn show_scene(State(shared): State<Shared>) -> Response {
-    let made = tokio::task::spawn_blocking(move || {
+    let task = tokio::task::spawn_blocking(move || {
         let token = shared.guard.token();
         shared
             .hub
@@ -185,24 +185,24 @@ async fn show_scene(State(shared): State<Shared>) -> Response {
                 }
             })
     });
-    let made = match made.await {
+    let bytes = match task.await {
         Ok(Ok(Some(bytes))) => Ok(Ok(bytes)),
         Ok(Ok(None)) => return (StatusCode::NOT_FOUND, "there is no scene yet\n").into_response(),
         Ok(Err(error)) => Ok(Err(error)),
         Err(error) => Err(error),
     };
-    answer(made, "application/octet-stream")
+    answer(bytes, "application/octet-stream")
 }
 
 fn answer(
-    made: Result<Result<Vec<u8>, PageError>, tokio::task::JoinError>,
+    result: Result<Result<Vec<u8>, PageError>, tokio::task::JoinError>,
     kind: &'static str,
 ) -> Response {
     let failed = |error: &dyn std::fmt::Display| {
         let text = format!("the page cannot be made: {error}\n");
         (StatusCode::INTERNAL_SERVER_ERROR, text).into_response()
     };
-    match made {
+    match result {
         Ok(Ok(bytes)) => ([(header::CONTENT_TYPE, kind)], Bytes::from(bytes)).into_response(),
         Ok(Err(error)) => failed(&error),
         Err(error) => failed(&error),

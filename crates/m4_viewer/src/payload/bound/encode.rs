@@ -22,9 +22,9 @@ pub(in super::super) struct Bound<'a> {
 }
 
 impl<'a> Bound<'a> {
-    /// Takes the rows that may be shown apart from their life: `seen` says so of a row, given the
-    /// largest share of its optical depth from frame 0 to the last.
-    pub fn new(scene: &'a Scene, seen: impl Fn(usize, f64) -> bool) -> Self {
+    /// Takes the rows that may be shown. `visible` says so of a row apart from its life: its second
+    /// argument is the largest share of the row's optical depth from frame 0 to the last.
+    pub fn new(scene: &'a Scene, visible: impl Fn(usize, f64) -> bool) -> Self {
         let splats = &scene.splats;
         let last = scene.time_frames.saturating_sub(1) as f64;
         let usable: Vec<bool> = splats.windows().iter().map(is_finite).collect();
@@ -36,7 +36,7 @@ impl<'a> Bound<'a> {
         let shown = splats
             .bound()
             .zip(bindings)
-            .filter(|(row, b)| peak(b) >= LEAST_PRESENCE && seen(*row, peak(b)));
+            .filter(|(row, b)| peak(b) >= LEAST_PRESENCE && visible(*row, peak(b)));
         let mut rows: Vec<usize> = shown.map(|(row, _)| row).collect();
         let of = |row: &usize| &bindings[row - splats.n_static()];
         rows.sort_by_key(|row| (of(row).window, of(row).nodes));
