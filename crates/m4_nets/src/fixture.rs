@@ -60,10 +60,10 @@ pub fn of_first_blocks(keys: &str, depth: usize) -> String {
         let rest = line.strip_prefix("pretrained.blocks.")?;
         rest.split('.').next()?.parse().ok()
     };
-    let kept = keys
+    let lines = keys
         .lines()
         .filter(|line| block(line).is_none_or(|i| i < depth));
-    kept.map(|line| format!("{line}\n")).collect()
+    lines.map(|line| format!("{line}\n")).collect()
 }
 
 /// `image` as the backbone takes it, `[1, 3, h, w]`.

@@ -90,10 +90,10 @@ fn raft_agrees_with_the_module() {
     let check = |on: Compute, [low, full]: [f64; 2]| {
         let net = Raft::load(&path, on).unwrap();
         let [a, b] = ["image1", "image2"].map(|name| net.encode(&file.image(name)).unwrap());
-        let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
+        let [forward, _] = net.flow_both(&a, &b, 1, None).unwrap();
         for (name, flow, limit) in [
-            ("flow_low_1", &there.low, low),
-            ("flow_up_1", &there.flow, full),
+            ("flow_low_1", &forward.low, low),
+            ("flow_up_1", &forward.flow, full),
         ] {
             assert_close(
                 name,
@@ -169,20 +169,20 @@ fn tracking_network_matches_the_cpu() {
     let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!(
         "../../../fixtures/droid/keys.txt"
     )));
-    let (there, here) = (droid(&path, &gpu), droid(&path, cpu()));
+    let (on_gpu, on_cpu) = (droid(&path, &gpu), droid(&path, cpu()));
     assert!(
-        (there.0 / here.0 - 1.0).abs() < 1e-4,
+        (on_gpu.0 / on_cpu.0 - 1.0).abs() < 1e-4,
         "{} {}",
-        there.0,
-        here.0
+        on_gpu.0,
+        on_cpu.0
     );
-    for (k, (there, here)) in there.1.iter().zip(&here.1).enumerate() {
-        assert_close(&format!("plane {k}"), there, here, 1e-4);
+    for (k, (on_gpu, on_cpu)) in on_gpu.1.iter().zip(&on_cpu.1).enumerate() {
+        assert_close(&format!("plane {k}"), on_gpu, on_cpu, 1e-4);
     }
     if let Some(compute) = half(gpu) {
         let half = droid(&path, compute);
-        for (k, (half, here)) in half.1.iter().zip(&here.1).enumerate() {
-            assert_close(&format!("plane {k} in half precision"), half, here, 2e-2);
+        for (k, (half, on_cpu)) in half.1.iter().zip(&on_cpu.1).enumerate() {
+            assert_close(&format!("plane {k} in half precision"), half, on_cpu, 2e-2);
         }
     }
 }
@@ -207,8 +207,8 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
             .disparity(&image)
             .unwrap()
     };
-    let (there, here) = (disparity(&gpu), disparity(&cpu()));
-    assert_close("Depth-Anything", there.data(), here.data(), 1e-4);
+    let (on_gpu, on_cpu) = (disparity(&gpu), disparity(&cpu()));
+    assert_close("Depth-Anything", on_gpu.data(), on_cpu.data(), 1e-4);
 
     let image = pattern(56, 42, 0.0);
     let keys = include_str!("../../../fixtures/moge2/vits_normal.keys.txt");
@@ -226,20 +226,20 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
             .infer(&image, &options)
             .unwrap()
     };
-    let (there, here) = (map(&gpu), map(&cpu()));
-    let differ = there
+    let (on_gpu, on_cpu) = (map(&gpu), map(&cpu()));
+    let differ = on_gpu
         .mask
         .data()
         .iter()
-        .zip(here.mask.data())
+        .zip(on_cpu.mask.data())
         .filter(|(a, b)| a != b)
         .count();
     assert!(
-        differ * 500 < there.mask.data().len(),
+        differ * 500 < on_gpu.mask.data().len(),
         "{differ} pixels of the mask"
     );
-    let known = |z: &Plane<f32>| -> Vec<f32> {
-        let both = there.mask.data().iter().zip(here.mask.data());
+    let common_depths = |z: &Plane<f32>| -> Vec<f32> {
+        let both = on_gpu.mask.data().iter().zip(on_cpu.mask.data());
         z.data()
             .iter()
             .zip(both)
@@ -249,8 +249,8 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
     };
     assert_close(
         "MoGe-2",
-        &known(&there.depth_m),
-        &known(&here.depth_m),
+        &common_depths(&on_gpu.depth_m),
+        &common_depths(&on_cpu.depth_m),
         1e-3,
     );
 }
@@ -270,9 +270,14 @@ fn unidepth_matches_the_cpu() {
             .depth_by_patches(&image, 48)
             .unwrap()
     };
-    let (there, here) = (map(&gpu), map(&cpu()));
-    assert_close("UniDepth", there.depth_m.data(), here.depth_m.data(), 1e-4);
-    assert!((there.camera.fx / here.camera.fx - 1.0).abs() < 1e-4);
+    let (on_gpu, on_cpu) = (map(&gpu), map(&cpu()));
+    assert_close(
+        "UniDepth",
+        on_gpu.depth_m.data(),
+        on_cpu.depth_m.data(),
+        1e-4,
+    );
+    assert!((on_gpu.camera.fx / on_cpu.camera.fx - 1.0).abs() < 1e-4);
 }
 
 #[test]
@@ -347,13 +352,13 @@ fn sam2_matches_the_cpu() {
     let weights = FormulaWeights::of_keys(include_str!("../../../fixtures/sam2/tiny.keys.txt"))
         .with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[5.0]);
     let (_folder, path) = checkpoint(&weights);
-    let (there, here) = (sam2(&path, &gpu), sam2(&path, cpu()));
-    for (k, (there, here)) in there.iter().zip(&here).enumerate() {
-        assert_close(&format!("frame {k}"), there, here, [1e-4, 3e-4][k]);
+    let (on_gpu, on_cpu) = (sam2(&path, &gpu), sam2(&path, cpu()));
+    for (k, (on_gpu, on_cpu)) in on_gpu.iter().zip(&on_cpu).enumerate() {
+        assert_close(&format!("frame {k}"), on_gpu, on_cpu, [1e-4, 3e-4][k]);
     }
     if let Some(compute) = half(gpu) {
         let half = sam2(&path, compute);
-        assert_close("frame 0 in half precision", &half[0], &here[0], 2e-2);
+        assert_close("frame 0 in half precision", &half[0], &on_cpu[0], 2e-2);
         // which of three readings is taken may be a close race from then on
         assert!(half[1].iter().all(|x| x.is_finite() && x.abs() < 100.0));
     }
@@ -432,14 +437,14 @@ fn points_are_followed_as_on_the_processor() {
         });
         [steps.flatten().collect(), tracks.visibility]
     };
-    let here = steps(cpu().into());
-    let there = steps(gpu.clone().into());
-    assert_close("steps", &there[0], &here[0], 2e-3);
-    assert_close("visibility", &there[1], &here[1], 1e-3);
+    let on_cpu = steps(cpu().into());
+    let on_gpu = steps(gpu.clone().into());
+    assert_close("steps", &on_gpu[0], &on_cpu[0], 2e-3);
+    assert_close("visibility", &on_gpu[1], &on_cpu[1], 1e-3);
     if let Some(compute) = half(gpu) {
         let half = steps(compute);
         // 1.7e-2 was measured on lavapipe (docs/networks.md)
-        assert_close("steps in half precision", &half[0], &here[0], 4e-2);
-        assert_close("visibility in half precision", &half[1], &here[1], 2e-2);
+        assert_close("steps in half precision", &half[0], &on_cpu[0], 4e-2);
+        assert_close("visibility in half precision", &half[1], &on_cpu[1], 2e-2);
     }
 }

@@ -86,25 +86,26 @@ fn here() -> Prompt {
 /// All masks of two objects, of which one is prompted later, forward and backward.
 #[test]
 fn masks_are_the_same_on_any_number_of_threads() {
-    let seen = same_on_any_threads(|| {
+    let outputs = same_on_any_threads(|| {
         let mut predictor = clip();
-        let mut seen = Vec::new();
+        let mut outputs = Vec::new();
         predictor.show(0, 7, &here()).unwrap();
         let mut follow = |predictor: &mut VideoPredictor<'_>, frames, direction| {
-            let keep = |frame, masks: &BTreeMap<u32, ObjectMask>| seen.push((frame, masks.clone()));
+            let keep =
+                |frame, masks: &BTreeMap<u32, ObjectMask>| outputs.push((frame, masks.clone()));
             predictor.follow(frames, direction, &Silent, keep).unwrap();
         };
         follow(&mut predictor, 0..=3, Direction::Forward);
         predictor.show(3, 9, &here()).unwrap();
         follow(&mut predictor, 3..=4, Direction::Forward);
         follow(&mut predictor, 1..=3, Direction::Backward);
-        seen
+        outputs
     });
     assert_eq!(
-        seen.iter().map(|(frame, _)| *frame).collect::<Vec<_>>(),
+        outputs.iter().map(|(frame, _)| *frame).collect::<Vec<_>>(),
         [0, 1, 2, 3, 3, 4, 3, 2, 1]
     );
-    for mask in seen.iter().flat_map(|(_, masks)| masks.values()) {
+    for mask in outputs.iter().flat_map(|(_, masks)| masks.values()) {
         assert!(mask.logits.data().iter().all(|x| x.is_finite()));
     }
 }
@@ -141,9 +142,9 @@ fn frames_are_read_once_for_any_number_of_objects() {
 fn a_mask_is_taken_as_it_is() {
     let mut predictor = clip();
     let disc = moving(180, 100, 20).map(|&pixel| pixel == [220, 60, 40]);
-    let found = predictor.show_mask(0, 1, &disc).unwrap();
-    assert!(found.is_there() && (found.iou, found.score) == (1.0, 10.0));
-    let back = found.mask_at((180, 100));
+    let actual = predictor.show_mask(0, 1, &disc).unwrap();
+    assert!(actual.is_there() && (actual.iou, actual.score) == (1.0, 10.0));
+    let back = actual.mask_at((180, 100));
     let differ = back
         .data()
         .iter()
@@ -199,12 +200,12 @@ fn holes_are_filled_where_asked() {
 fn the_user_can_stop() {
     let mut predictor = clip();
     predictor.show(0, 1, &here()).unwrap();
-    let mut seen = 0;
+    let mut n_frames = 0;
     let stopped = predictor.follow(0..=59, Direction::Forward, &StopAtPoll::after(4), |_, _| {
-        seen += 1
+        n_frames += 1
     });
     assert!(matches!(stopped, Err(NetError::Cancelled)));
-    assert_eq!(seen, 3);
+    assert_eq!(n_frames, 3);
 }
 
 #[test]

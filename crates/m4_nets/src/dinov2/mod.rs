@@ -224,14 +224,14 @@ impl BackboneSize {
         let Some(shape) = shapes.get(&name) else {
             return Err(LoadError::misfit(network, path, &[&name], &[]));
         };
-        let found = Self::ALL
+        let variant = Self::ALL
             .into_iter()
             .find(|size| shape.last() == Some(&size.width()));
-        found.ok_or_else(|| {
-            let known = Self::ALL.map(|size| format!("{} of {}", size.width(), size.name()));
+        variant.ok_or_else(|| {
+            let sizes = Self::ALL.map(|size| format!("{} of {}", size.width(), size.name()));
             let wrong = format!(
                 "{name} has the shape {shape:?}, known widths are {}",
-                known.join(", ")
+                sizes.join(", ")
             );
             LoadError::misfit(network, path, &[], &[wrong])
         })
@@ -264,8 +264,8 @@ impl Attention {
             .reshape([b, n, 3, self.heads, c / self.heads])
             .permute([2, 0, 3, 1, 4]);
         let [q, k, v] = [0, 1, 2].map(|i| qkv.clone().narrow(0, i, 1).squeeze_dim::<4>(0));
-        let found = attend_heads(q, k, v).swap_dims(1, 2).reshape([b, n, c]);
-        self.proj.forward(found)
+        let attention = attend_heads(q, k, v).swap_dims(1, 2).reshape([b, n, c]);
+        self.proj.forward(attention)
     }
 }
 

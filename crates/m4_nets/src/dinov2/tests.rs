@@ -14,8 +14,9 @@ const LIMIT: f64 = 5e-5;
 
 /// The lines of `keys` of a backbone with `depth` blocks.
 fn backbone_keys(keys: &str, depth: usize) -> String {
-    let kept = of_first_blocks(keys, depth);
-    kept.lines()
+    let lines = of_first_blocks(keys, depth);
+    lines
+        .lines()
         .filter(|line| line.starts_with(PREFIX))
         .map(|line| format!("{line}\n"))
         .collect()

@@ -157,14 +157,14 @@ pub struct LpipsImage {
 pub(super) fn same_size(
     what: &str,
     expected: (usize, usize),
-    found: (usize, usize),
+    size: (usize, usize),
 ) -> Result<(), NetError> {
-    if expected == found {
+    if expected == size {
         return Ok(());
     }
     refuse(format!(
         "{what} has {} x {} pixels but the reference {} x {}; render or resize it to the reference's size first",
-        found.0, found.1, expected.0, expected.1
+        size.0, size.1, expected.0, expected.1
     ))
 }
 

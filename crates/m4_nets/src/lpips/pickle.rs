@@ -220,12 +220,12 @@ impl<'a> Machine<'a> {
                     self.word()?
                 };
                 let value = self.pop()?;
-                let kept = match &value {
+                let memo_value = match &value {
                     // these may be in one place alone
                     Value::Dict(_) | Value::Empty | Value::Array(_) => Value::Mark,
                     other => other.clone(),
                 };
-                self.memo.insert(key, kept);
+                self.memo.insert(key, memo_value);
                 value
             }
             b'h' | b'j' => {
@@ -239,7 +239,7 @@ impl<'a> Machine<'a> {
                     Some(Value::Mark) => {
                         return self.refuse("a dictionary or an array is in two places");
                     }
-                    Some(kept) => kept.clone(),
+                    Some(memo_value) => memo_value.clone(),
                 }
             }
             b's' => {

@@ -19,28 +19,28 @@ fn numbers(array: &Array<'_>) -> Vec<f32> {
 /// What may come out of any file: arrays whose bytes are those of their shapes, all of them out of
 /// the file.
 fn is_sound(file: &[u8]) -> bool {
-    let Ok(found) = arrays(file) else {
+    let Ok(arrays) = arrays(file) else {
         return false;
     };
     let fits = |a: &Array<'_>| a.shape.iter().product::<usize>() * 4 == a.bytes.len();
-    assert!(found.values().all(fits));
-    assert!(found.values().map(|a| a.bytes.len()).sum::<usize>() <= file.len());
+    assert!(arrays.values().all(fits));
+    assert!(arrays.values().map(|a| a.bytes.len()).sum::<usize>() <= file.len());
     true
 }
 
 #[test]
 fn numpy_files_are_read() {
     let file = fixture("arrays.pickle");
-    let found = arrays(&file).unwrap();
+    let arrays = arrays(&file).unwrap();
     let wanted: [(&str, &str, &[usize]); 4] = [
         ("AlexNet_0/Conv_0/bias", "b", &[5]),
         ("AlexNet_0/Conv_0/kernel", "k", &[2, 3, 4, 5]),
         ("NetLinLayer_0/Conv_0/kernel", "l", &[1, 1, 7, 1]),
         ("scalar", "s", &[]),
     ];
-    let keys: Vec<&String> = found.keys().collect();
+    let keys: Vec<&String> = arrays.keys().collect();
     assert_eq!(keys, wanted.map(|(key, ..)| key));
-    for ((_, name, shape), array) in wanted.into_iter().zip(found.values()) {
+    for ((_, name, shape), array) in wanted.into_iter().zip(arrays.values()) {
         assert_eq!(array.shape, shape);
         let want = formula_input(name, 0.0, 1.0, shape.iter().product());
         assert_eq!(numbers(array), want, "{name}");

@@ -252,8 +252,8 @@ impl Windowed {
         let side = self.window;
         let windows = cut(x, side);
         let [n, _, _, _] = windows.dims();
-        let found = self.within(windows.reshape([n, side * side, c]));
-        joined(found.reshape([n, side, side, c]), 1, [h, w])
+        let attention = self.within(windows.reshape([n, side * side, c]));
+        joined(attention.reshape([n, side, side, c]), 1, [h, w])
     }
 
     /// Of windows `[n, l, c]`: the same shape.
@@ -271,8 +271,9 @@ impl Windowed {
             .mul_scalar(1.0 / (width as f32).sqrt())
             .matmul(k.swap_dims(2, 3))
             + self.biases();
-        let found = softmax_rows(scores).matmul(v);
-        self.proj.forward(found.swap_dims(1, 2).reshape([n, l, c]))
+        let attention = softmax_rows(scores).matmul(v);
+        self.proj
+            .forward(attention.swap_dims(1, 2).reshape([n, l, c]))
     }
 
     /// What is added to the scores, `[1, heads, window^2, window^2]`.

@@ -38,21 +38,24 @@ struct Sighting {
     uv: [f64; 2],
 }
 
-/// Points `[height][width]` of an image, those that `valid` says so, and their focal length where
-/// it is `known`.
+/// The focal length and shift of the points `[height][width]` of an image for which `valid` holds;
+/// with `known_focal`, the shift alone is estimated.
 pub fn recovered(
     points: &[[f32; 3]],
     valid: impl Fn(usize) -> bool,
     (width, height): (usize, usize),
-    known: Option<f64>,
+    known_focal: Option<f64>,
 ) -> Result<FocalShift, NetError> {
-    let seen = sightings(points, valid, (width, height));
-    if seen.len() < 2 {
+    let sightings = sightings(points, valid, (width, height));
+    if sightings.len() < 2 {
         return Err(NetError::NoDepth(
             "the network finds no depth in this image: its mask is empty",
         ));
     }
-    let problem = Problem { seen: &seen, known };
+    let problem = Problem {
+        sightings: &sightings,
+        known_focal,
+    };
     let mut shift = 0.0;
     let mut here = problem.at(shift);
     let mut reach = f64::INFINITY;
@@ -74,11 +77,11 @@ pub fn recovered(
         if expected.is_nan() || expected <= f64::EPSILON {
             break;
         }
-        let there = problem.at(shift + step);
-        let gained = 1.0 - there.cost / here.cost;
+        let next = problem.at(shift + step);
+        let gained = 1.0 - next.cost / here.cost;
         if gained > 1e-4 * expected {
             shift += step;
-            here = there;
+            here = next;
         }
         if gained.abs() <= ENOUGH && expected <= ENOUGH {
             break;
@@ -89,12 +92,12 @@ pub fn recovered(
             reach = 2.0 * step.abs();
         }
     }
-    let found = FocalShift {
+    let result = FocalShift {
         focal: here.focal,
         shift,
     };
-    if found.focal.is_finite() && found.focal > 0.0 && here.cost.is_finite() {
-        Ok(found)
+    if result.focal.is_finite() && result.focal > 0.0 && here.cost.is_finite() {
+        Ok(result)
     } else {
         Err(NetError::NoDepth(
             "no focal length explains the points that the network sees; giving the focal length may help",
@@ -111,7 +114,7 @@ fn sightings(
 ) -> Vec<Sighting> {
     let diagonal = (width as f64).hypot(height as f64);
     let at = |i: usize, from: usize| i * from / SAMPLES;
-    let mut seen = Vec::with_capacity(SAMPLES * SAMPLES);
+    let mut sightings = Vec::with_capacity(SAMPLES * SAMPLES);
     for (row, column) in (0..SAMPLES * SAMPLES).map(|i| (i / SAMPLES, i % SAMPLES)) {
         let (x, y) = (at(column, width), at(row, height));
         let i = y * width + x;
@@ -123,18 +126,18 @@ fn sightings(
         }
         let [px, py, z] = point.map(f64::from);
         let from_middle = |x: usize, side: usize| (2.0 * x as f64 + 1.0 - side as f64) / diagonal;
-        seen.push(Sighting {
+        sightings.push(Sighting {
             xy: [px, py],
             z,
             uv: [from_middle(x, width), from_middle(y, height)],
         });
     }
-    seen
+    sightings
 }
 
 struct Problem<'a> {
-    seen: &'a [Sighting],
-    known: Option<f64>,
+    sightings: &'a [Sighting],
+    known_focal: Option<f64>,
 }
 
 /// The sum of squares at an offset, half its first derivative, and half its second one without the
@@ -156,19 +159,19 @@ impl Problem<'_> {
         };
         let dot = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1];
         let (mut pu, mut pp, mut qu, mut pq) = (0.0, 0.0, 0.0, 0.0);
-        for s in self.seen {
+        for s in self.sightings {
             let (p, q) = projected(s);
             pu += dot(p, s.uv);
             pp += dot(p, p);
             qu += dot(q, s.uv);
             pq += dot(p, q);
         }
-        let (focal, focal_slope) = match self.known {
+        let (focal, focal_slope) = match self.known_focal {
             Some(focal) => (focal, 0.0),
             None => (pu / pp, qu / pp - 2.0 * pu * pq / (pp * pp)),
         };
         let (mut cost, mut slope, mut curvature) = (0.0, 0.0, 0.0);
-        for s in self.seen {
+        for s in self.sightings {
             let (p, q) = projected(s);
             let r = [0, 1].map(|i| focal * p[i] - s.uv[i]);
             let dr = [0, 1].map(|i| focal_slope * p[i] + focal * q[i]);
@@ -200,8 +203,8 @@ mod tests {
         let mask = fixture.bytes("mask");
         let number = |name| f64::from(fixture.floats(name).0[0]);
         let size = (shape[1], shape[0]);
-        let check = |known, focal: f64, shift: f64| {
-            let got = recovered(points, |i| mask[i] != 0, size, known).unwrap();
+        let check = |known_focal, focal: f64, shift: f64| {
+            let got = recovered(points, |i| mask[i] != 0, size, known_focal).unwrap();
             assert!(
                 (got.focal / focal - 1.0).abs() < 1e-3,
                 "{got:?}, focal {focal}"
@@ -213,9 +216,9 @@ mod tests {
             got
         };
         check(None, number("focal"), number("shift"));
-        let known = number("known_focal");
-        let got = check(Some(known), known, number("shift_known_focal"));
-        assert_eq!(got.focal, known);
+        let known_focal = number("known_focal");
+        let got = check(Some(known_focal), known_focal, number("shift_known_focal"));
+        assert_eq!(got.focal, known_focal);
     }
 
     /// A plane that leans, of an image of 90 x 60 pixels.
@@ -244,8 +247,11 @@ mod tests {
                 (f / focal - 1.0).abs() < 1e-4 && (s - shift).abs() < 1e-3,
                 "{f}, {s} for {focal}, {shift}"
             );
-            let known = recovered(&points, |_| true, (90, 60), Some(focal)).unwrap();
-            assert!((known.shift - shift).abs() < 1e-5, "{known:?} for {shift}");
+            let actual = recovered(&points, |_| true, (90, 60), Some(focal)).unwrap();
+            assert!(
+                (actual.shift - shift).abs() < 1e-5,
+                "{actual:?} for {shift}"
+            );
         }
     }
 
@@ -255,10 +261,10 @@ mod tests {
         for i in (0..points.len()).step_by(7) {
             points[i] = [f32::NAN, 1.0, f32::INFINITY];
         }
-        let found = recovered(&points, |i| i % 5 != 0, (90, 60), None).unwrap();
+        let actual = recovered(&points, |i| i % 5 != 0, (90, 60), None).unwrap();
         assert!(
-            (found.focal - 1.2).abs() < 1e-2 && (found.shift - 0.5).abs() < 1e-2,
-            "{found:?}"
+            (actual.focal - 1.2).abs() < 1e-2 && (actual.shift - 0.5).abs() < 1e-2,
+            "{actual:?}"
         );
         let none =
             |error| matches!(error, Err(NetError::NoDepth(why)) if why.contains("mask is empty"));

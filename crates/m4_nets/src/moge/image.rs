@@ -150,9 +150,9 @@ impl RawOutput {
         }
         let half_diagonal = (width as f64).hypot(height as f64) / 2.0;
         let likely = |i: usize| self.mask.get(i).is_some_and(|&m| m > LIKELY);
-        let known = known_focal_px.map(|f| f / half_diagonal);
-        let found = focal::recovered(&self.points, likely, (width, height), known)?;
-        let shift = found.shift as f32;
+        let known_focal = known_focal_px.map(|f| f / half_diagonal);
+        let solution = focal::recovered(&self.points, likely, (width, height), known_focal)?;
+        let shift = solution.shift as f32;
         let depth = |i: usize| {
             let z = (self.points[i][2] + shift) * scale;
             if likely(i) && z > 0.0 && z.is_finite() {
@@ -163,7 +163,7 @@ impl RawOutput {
         };
         let depth_m = Plane::from_fn(width, height, |x, y| depth(y * width + x));
         let mask = depth_m.map(|&z| z > 0.0);
-        let focal_px = known_focal_px.unwrap_or(found.focal * half_diagonal);
+        let focal_px = known_focal_px.unwrap_or(solution.focal * half_diagonal);
         Ok(MoGeMap {
             depth_m,
             mask,

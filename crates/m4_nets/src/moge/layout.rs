@@ -109,8 +109,8 @@ impl Layout {
             ));
         }
         let stack = |name: &str| {
-            let found = StackLayout::in_checkpoint(shapes, name);
-            found.ok_or_else(|| format!("{name} has no level"))
+            let stack = StackLayout::in_checkpoint(shapes, name);
+            stack.ok_or_else(|| format!("{name} has no level"))
         };
         let projection = shapes.get("encoder.output_projections.0.weight");
         let scale_layer = |i: usize| shapes.get(&format!("scale_head.layers.{i}.weight"));
@@ -275,8 +275,8 @@ fn check_stack(stored: &PickleValue) -> Result<(), String> {
         Some(one) => std::slice::from_ref(one),
         None => &[],
     };
-    let known = |up: &&PickleValue| matches!(text(up), Some("conv_transpose" | "bilinear"));
-    if let Some(up) = ups.iter().find(|up| !known(up)) {
+    let is_known = |up: &&PickleValue| matches!(text(up), Some("conv_transpose" | "bilinear"));
+    if let Some(up) = ups.iter().find(|up| !is_known(up)) {
         return Err(format!("resamplers of {up:?} are not known"));
     }
     Ok(())

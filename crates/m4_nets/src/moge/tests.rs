@@ -65,10 +65,10 @@ fn small_model_matches_the_module() {
     near(&[raw.metric_scale], "metric_scale");
     // points of no scene: where the search ends is decided by its rules alone
     let likely = |i: usize| raw.mask[i] > 0.5;
-    let found = recovered(&raw.points, likely, (180, 140), None).unwrap();
+    let solution = recovered(&raw.points, likely, (180, 140), None).unwrap();
     let wanted = |name: &str| f64::from(fixture.floats(name).0[0]);
-    assert!((found.focal / wanted("focal") - 1.0).abs() < 1e-4);
-    assert!((found.shift / wanted("shift") - 1.0).abs() < 1e-4);
+    assert!((solution.focal / wanted("focal") - 1.0).abs() < 1e-4);
+    assert!((solution.shift / wanted("shift") - 1.0).abs() < 1e-4);
 
     let map = net.infer(&image, &options).unwrap();
     let intrinsics = fixture.floats("infer_intrinsics").0;

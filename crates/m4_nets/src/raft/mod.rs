@@ -193,9 +193,9 @@ impl Raft {
                 let at = at.clone().narrow(0, i, 1).squeeze_dim(0);
                 correlation::scores(&source.source, &target.target, at, RADIUS)
             };
-            let found = Tensor::stack::<4>(vec![look(a, b, 0), look(b, a, 1)], 0);
+            let correlations = Tensor::stack::<4>(vec![look(a, b, 0), look(b, a, 1)], 0);
             let motion = update.encoder.forward(
-                channels_first(found).cast(dtype),
+                channels_first(correlations).cast(dtype),
                 channels_first(flow.clone()).cast(dtype),
             );
             hidden = unit.forward(hidden, &motion);

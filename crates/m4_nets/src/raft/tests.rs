@@ -41,15 +41,15 @@ fn parts_agree_with_the_published_module() {
     let [source, target] = maps.map(|map| map.squeeze_dim::<3>(0).permute([1, 2, 0]));
     let [h, w, _] = source.dims();
     let at = net.whole_positions(h, w).squeeze_dim::<3>(0) + 0.37;
-    let found = correlation::scores(
+    let scores = correlation::scores(
         &FeatureMap::new(source),
         &Pyramid::new(target, LEVELS),
         at,
         RADIUS,
     );
-    let found = channels_first(found.unsqueeze::<4>());
-    assert_eq!(found.dims(), [1, 324, h, w]);
-    assert_near(every_map(found, 4), &fixture, "corr_strided", LIMIT);
+    let scores = channels_first(scores.unsqueeze::<4>());
+    assert_eq!(scores.dims(), [1, 324, h, w]);
+    assert_near(every_map(scores, 4), &fixture, "corr_strided", LIMIT);
 }
 
 /// The unit with the context's part taken out against its definition.

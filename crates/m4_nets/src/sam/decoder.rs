@@ -42,8 +42,9 @@ impl Attention {
         let shape = q.dims();
         let k = self.k_proj.forward(k);
         let v = self.v_proj.forward(v);
-        let found = attend_heads(split(q), split(k), split(v));
-        self.out_proj.forward(found.swap_dims(1, 2).reshape(shape))
+        let attention = attend_heads(split(q), split(k), split(v));
+        self.out_proj
+            .forward(attention.swap_dims(1, 2).reshape(shape))
     }
 }
 
@@ -126,27 +127,27 @@ impl TwoWay {
         let (mut tokens, mut pixels) = (tokens, pixels);
         for (i, layer) in self.layers.iter().enumerate() {
             tokens = layer.among_themselves(tokens, &places, i == 0);
-            let found = layer.cross_attn_token_to_image.forward(
+            let attention = layer.cross_attn_token_to_image.forward(
                 tokens.clone() + places.clone(),
                 pixels.clone() + grid.clone(),
                 pixels.clone(),
             );
-            tokens = layer.norm2.forward(tokens + found);
+            tokens = layer.norm2.forward(tokens + attention);
             let wide = relu(layer.mlp.lin1.forward(tokens.clone()));
             tokens = layer.norm3.forward(tokens + layer.mlp.lin2.forward(wide));
-            let found = layer.cross_attn_image_to_token.forward(
+            let attention = layer.cross_attn_image_to_token.forward(
                 pixels.clone() + grid.clone(),
                 tokens.clone() + places.clone(),
                 tokens.clone(),
             );
-            pixels = layer.norm4.forward(pixels + found);
+            pixels = layer.norm4.forward(pixels + attention);
         }
-        let found = self.final_attn_token_to_image.forward(
+        let attention = self.final_attn_token_to_image.forward(
             tokens.clone() + places,
             pixels.clone() + grid.clone(),
             pixels.clone(),
         );
-        (self.norm_final_attn.forward(tokens + found), pixels)
+        (self.norm_final_attn.forward(tokens + attention), pixels)
     }
 }
 

@@ -114,11 +114,11 @@ impl Prompt {
                 ));
             }
         }
-        if let Some(found @ [x0, y0, x1, y1]) = self.box_px
+        if let Some(bounds @ [x0, y0, x1, y1]) = self.box_px
             && (x1 < x0 || y1 < y0)
         {
             return refuse(format!(
-                "the box of a prompt must be first column and row, then last column and row, not {found:?}"
+                "the box of a prompt must be first column and row, then last column and row, not {bounds:?}"
             ));
         }
         let Some(mask) = &self.mask_logits else {

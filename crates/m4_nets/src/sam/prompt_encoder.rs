@@ -101,10 +101,10 @@ impl PromptEncoder {
     /// The token `[1, 256]` of a place, column and row as parts of the image's side: 0 off the
     /// object, 1 on it, 2 the box's first corner, 3 its last.
     pub fn place(&self, at: [f32; 2], kind: usize) -> Tensor<2> {
-        let known = self.point_embeddings[kind].weight.val();
+        let embedding = self.point_embeddings[kind].weight.val();
         self.pe_layer
-            .forward(tensor(at.to_vec(), [1, 2], &known.device()))
-            + known
+            .forward(tensor(at.to_vec(), [1, 2], &embedding.device()))
+            + embedding
     }
 
     /// The token `[1, 256]` of no place.

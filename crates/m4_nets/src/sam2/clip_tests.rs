@@ -125,10 +125,10 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
         assert_map(map.reshape([16, 16, 256]), fixture, &name, LIMIT);
     }
 
-    let mut seen = Vec::new();
+    let mut samples = Vec::new();
     let mut call = 0;
     for at in 0..6 {
-        let keep = |_, masks: &_| seen.extend(sampled(masks, 16));
+        let keep = |_, masks: &_| samples.extend(sampled(masks, 16));
         predictor
             .follow(at..=at, Direction::Forward, &Silent, keep)
             .unwrap();
@@ -147,7 +147,7 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
             assert_entry(&predictor, fixture, "A", [id as usize - 1, at]);
         }
     }
-    assert_numbers(&seen, fixture, "A_video_masks_strided");
+    assert_numbers(&samples, fixture, "A_video_masks_strided");
     predictor
 }
 
@@ -169,9 +169,9 @@ fn a_clip_agrees_with_the_video_predictor() {
         ("B", Direction::Forward, vec![3, 4, 5]),
         ("C", Direction::Backward, vec![3, 2, 1, 0]),
     ] {
-        let (mut seen, mut call) = (Vec::new(), 0);
+        let (mut samples, mut call) = (Vec::new(), 0);
         for at in frames {
-            let keep = |_, masks: &_| seen.extend(sampled(masks, 16));
+            let keep = |_, masks: &_| samples.extend(sampled(masks, 16));
             predictor.follow(at..=at, direction, &Silent, keep).unwrap();
             for id in [1, 2, 3] {
                 if predictor.objects[&id].shown(at).is_none() {
@@ -181,7 +181,7 @@ fn a_clip_agrees_with_the_video_predictor() {
             }
         }
         assert_eq!(call, if what == "B" { 8 } else { 9 });
-        assert_numbers(&seen, &fixture, &format!("{what}_video_masks_strided"));
+        assert_numbers(&samples, &fixture, &format!("{what}_video_masks_strided"));
     }
     for (i, at) in [0, 2]
         .into_iter()

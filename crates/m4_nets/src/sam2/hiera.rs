@@ -107,9 +107,9 @@ impl Attention {
         let q = if self.halves { halved(q) } else { q };
         let [_, rows, columns, _] = q.dims();
         let split = |x: Tensor<4>, l: usize| x.reshape([n, l, heads, c / heads]).swap_dims(1, 2);
-        let found = attend_heads(split(q, rows * columns), split(k, h * w), split(v, h * w));
+        let attention = attend_heads(split(q, rows * columns), split(k, h * w), split(v, h * w));
         self.proj
-            .forward(found.swap_dims(1, 2).reshape([n, rows, columns, c]))
+            .forward(attention.swap_dims(1, 2).reshape([n, rows, columns, c]))
     }
 }
 
@@ -172,20 +172,20 @@ impl Block {
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [n, _, _, _] = x.dims();
         let normal = self.norm1.forward(x.clone());
-        let kept = match &self.proj {
+        let shortcut = match &self.proj {
             Some(proj) => {
                 let x = proj.forward(normal.clone());
                 if self.halves { halved(x) } else { x }
             }
             None => x,
         };
-        let [_, h, w, _] = kept.dims();
-        let found = if self.window == 0 {
+        let [_, h, w, _] = shortcut.dims();
+        let attention = if self.window == 0 {
             self.attn.forward(normal)
         } else {
             joined(self.attn.forward(cut(normal, self.window)), n, [h, w])
         };
-        let x = kept + found;
+        let x = shortcut + attention;
         x.clone() + self.mlp.forward(self.norm2.forward(x))
     }
 }

@@ -66,8 +66,8 @@ impl Attention {
         if m > placed {
             parts.push(keys.narrow(1, placed, m - placed));
         }
-        let found = of_one_head(q, Tensor::cat(parts, 1), memories.values.clone());
-        self.out_proj.forward(self.v_proj.forward(found))
+        let attention = of_one_head(q, Tensor::cat(parts, 1), memories.values.clone());
+        self.out_proj.forward(self.v_proj.forward(attention))
     }
 }
 

@@ -303,12 +303,12 @@ impl Sam2 {
         tokens: Tensor<3>,
         masks: Option<Tensor<4>>,
     ) -> Decoded {
-        let known = self.net.prompt_encoder.mask(masks).cast(self.dtype);
-        let [b, c, h, w] = known.dims();
-        let known = known.reshape([b, c, h * w]).swap_dims(1, 2);
+        let mask_embedding = self.net.prompt_encoder.mask(masks).cast(self.dtype);
+        let [b, c, h, w] = mask_embedding.dims();
+        let mask_embedding = mask_embedding.reshape([b, c, h * w]).swap_dims(1, 2);
         let grid = self.tables.grid;
         self.net.mask_decoder.forward(
-            map + known,
+            map + mask_embedding,
             &self.tables.places,
             tokens.cast(self.dtype),
             features.fine.clone(),
@@ -335,16 +335,16 @@ impl Sam2 {
 
     /// What is remembered of `b` objects of a frame, `[b, n, 64]`: of masks `[b, 1, 16 h, 16 w]`
     /// from 0 to 1, and whether they are there.
-    fn remembered(&self, features: &Features, masks: Tensor<4>, there: &[bool]) -> Tensor<3> {
+    fn remembered(&self, features: &Features, masks: Tensor<4>, presence: &[bool]) -> Tensor<3> {
         let masks = masks.mul_scalar(20.0).sub_scalar(10.0).cast(self.dtype);
         let grid = self.tables.grid;
         let map = features.map.clone().reshape([1, grid, grid, WIDTH]);
-        let b = there.len();
+        let b = presence.len();
         let memory = self.net.memory_encoder.forward(map, masks);
         let memory = memory.reshape([b, grid * grid, MEMORY_WIDTH]);
-        let absent = there
+        let absent = presence
             .iter()
-            .map(|&there| f32::from(u8::from(!there)))
+            .map(|&present| f32::from(u8::from(!present)))
             .collect();
         let absent: Tensor<3> = tensor(absent, [b, 1, 1], &self.device).cast(self.dtype);
         memory + absent * self.net.no_obj_embed_spatial.val().unsqueeze_dim(0)

@@ -87,14 +87,18 @@ impl Sam2 {
         features.map.clone() + self.net.no_mem_embed.val()
     }
 
-    /// What a mask of the image's square, 1 where the object is, stands for.
-    pub(super) fn given(&self, features: &Features, mask: Vec<f32>) -> Result<Answer, NetError> {
+    /// The answer that a mask stands for; the mask is of the image's square, 1 where the object is.
+    pub(super) fn answer_of_mask(
+        &self,
+        features: &Features,
+        mask: Vec<f32>,
+    ) -> Result<Answer, NetError> {
         let (side, small) = (self.side, self.mask_side());
-        let there = mask.iter().any(|&x| x > 0.0);
+        let present = mask.iter().any(|&x| x > 0.0);
         let logits: Vec<f32> = mask.iter().map(|x| 20.0 * x - 10.0).collect();
         let smaller = Kernels::triangle(side, small);
         let logits = resampled(&logits, side, side, &smaller, &smaller);
-        let pointer = if there {
+        let pointer = if present {
             let mask = tensor(mask, [1, 1, side, side], &self.device).cast(self.dtype);
             let mask = self.net.mask_downsample.forward(mask);
             let nowhere = self.net.prompt_encoder.nowhere();
@@ -109,7 +113,7 @@ impl Sam2 {
         Ok(Answer {
             logits: tensor(logits, [1, small, small], &self.device),
             pointer: pointer.unwrap_or_else(|| self.net.no_obj_ptr.val()),
-            score: if there { 10.0 } else { -10.0 },
+            score: if present { 10.0 } else { -10.0 },
             iou: 1.0,
             candidates: vec![1.0],
         })
@@ -166,9 +170,9 @@ impl Sam2 {
             let chosen = chosen(iou, ambiguous, stability[i]);
             let token = if ambiguous { chosen } else { 0 };
             let token = decoded.tokens.clone().narrow(0, i, 1).narrow(1, token, 1);
-            let there = scores[i] > 0.0;
+            let present = scores[i] > 0.0;
             answers.push(Answer {
-                logits: if there {
+                logits: if present {
                     masks
                         .clone()
                         .narrow(0, i, 1)
@@ -177,7 +181,7 @@ impl Sam2 {
                 } else {
                     Tensor::full([1, rows, columns], ABSENT, (&masks.device(), DType::F32))
                 },
-                pointer: if there {
+                pointer: if present {
                     self.net.obj_ptr_proj.forward(token.squeeze_dim(1))
                 } else {
                     self.net.no_obj_ptr.val()

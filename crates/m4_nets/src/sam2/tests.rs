@@ -190,10 +190,13 @@ fn the_decoder_agrees_with_the_module() {
         "labels",
     );
     assert_near(prompts.clone(), &fixture, "sparse", LIMIT);
-    let known = net.net.prompt_encoder.mask(None).reshape([1, 1, 256]);
+    let mask_embedding = net.net.prompt_encoder.mask(None).reshape([1, 1, 256]);
     let decoder = &net.net.mask_decoder;
-    let (tokens, pixels) =
-        decoder.transformed(map.clone() + known, &net.tables.places, prompts.clone());
+    let (tokens, pixels) = decoder.transformed(
+        map.clone() + mask_embedding,
+        &net.tables.places,
+        prompts.clone(),
+    );
     assert_near(tokens, &fixture, "transformer_tokens", LIMIT);
     let pixels = every(pixels.reshape([512, 256]), 8).reshape([2, 256, 32]);
     assert_near(pixels, &fixture, "transformer_image_strided", LIMIT);

@@ -124,8 +124,8 @@ impl<'a> VideoPredictor<'a> {
     ///
     /// [`NetError::UnknownObject`] if it was never shown.
     pub fn remove(&mut self, object: u32) -> Result<(), NetError> {
-        let found = self.objects.remove(&object);
-        found.map(drop).ok_or(NetError::UnknownObject(object))
+        let state = self.objects.remove(&object);
+        state.map(drop).ok_or(NetError::UnknownObject(object))
     }
 
     fn check(&self, frame: usize) -> Result<(), NetError> {
@@ -158,17 +158,17 @@ impl<'a> VideoPredictor<'a> {
         let net = Arc::clone(&self.net);
         prompt.check(size, net.mask_side())?;
         let tokens = prompts::tokens(&net.net.prompt_encoder, prompt, size, net.side);
-        let given = prompt.mask_logits.as_ref();
-        let known = self.objects.get(&object);
-        let mask = given.or_else(|| known?.at(frame).map(|entry| &entry.mask.logits));
+        let prompt_logits = prompt.mask_logits.as_ref();
+        let state = self.objects.get(&object);
+        let mask = prompt_logits.or_else(|| state?.at(frame).map(|entry| &entry.mask.logits));
         let mask =
             mask.map(|mask| prompts::mask(mask, &net.device).clamp(-EARLIER_LOGIT, EARLIER_LOGIT));
-        let recall = known.and_then(|known| {
-            let direction = *known.followed.get(&frame)?;
-            let recall = known.recall(frame, direction, self.clip.frames);
+        let recall = state.and_then(|state| {
+            let direction = *state.followed.get(&frame)?;
+            let recall = state.recall(frame, direction, self.clip.frames);
             (!recall.memories.is_empty()).then_some(recall)
         });
-        let first = known.is_none_or(|known| !known.followed.contains_key(&frame));
+        let first = state.is_none_or(|state| !state.followed.contains_key(&frame));
         let features = self.features(frame)?;
         let map = match recall {
             Some(recall) => net.recalled(net.begun(&features), &[recall], self.clip.frames),
@@ -194,9 +194,9 @@ impl<'a> VideoPredictor<'a> {
         with_pixels("a mask", mask.size())?;
         let net = Arc::clone(&self.net);
         let features = self.features(frame)?;
-        let known = self.objects.get(&object);
-        let first = known.is_none_or(|known| !known.followed.contains_key(&frame));
-        let answer = net.given(&features, squared_mask(mask, net.side))?;
+        let state = self.objects.get(&object);
+        let first = state.is_none_or(|state| !state.followed.contains_key(&frame));
+        let answer = net.answer_of_mask(&features, squared_mask(mask, net.side))?;
         self.pend(frame, object, vec![answer], first)
     }
 
@@ -212,10 +212,10 @@ impl<'a> VideoPredictor<'a> {
         let answer = answers.into_iter().next().ok_or_else(nothing)?;
         let entry = Entry::of(answer, self.fill_holes_px, true)?;
         let mask = entry.mask.clone();
-        let known = self.objects.entry(object).or_default();
+        let state = self.objects.entry(object).or_default();
         // what was shown first is corrected where it is
-        let conditions = first || known.conditioning.contains_key(&frame);
-        known.pending.insert(frame, (entry, conditions));
+        let conditions = first || state.conditioning.contains_key(&frame);
+        state.pending.insert(frame, (entry, conditions));
         Ok(mask)
     }
 
@@ -340,8 +340,8 @@ impl<'a> VideoPredictor<'a> {
             let begun = net.begun(&features);
             for (_, group) in groups {
                 for part in group.chunks(TOGETHER) {
-                    let found = self.found(&net, &features, &begun, part)?;
-                    for (id, entry) in found {
+                    let entries = self.entries(&net, &features, &begun, part)?;
+                    for (id, entry) in entries {
                         if let Some(object) = self.objects.get_mut(&id) {
                             object.others.insert(frame, entry);
                         }
@@ -359,7 +359,7 @@ impl<'a> VideoPredictor<'a> {
     }
 
     /// Some objects, which have equally many memories, in a frame.
-    fn found(
+    fn entries(
         &self,
         net: &Sam2,
         features: &Features,
@@ -370,24 +370,24 @@ impl<'a> VideoPredictor<'a> {
         let map = net.recalled(begun.clone(), &recalls, self.clip.frames);
         let answers = net.followed(map, features)?;
         let logits = answers.iter().map(|answer| answer.logits.clone()).collect();
-        let there: Vec<bool> = answers.iter().map(|answer| answer.score > 0.0).collect();
+        let presence: Vec<bool> = answers.iter().map(|answer| answer.score > 0.0).collect();
         let masks = crate::ops::sigmoid(net.enlarged(Tensor::cat(logits, 0)));
-        let memories = net.remembered(features, masks, &there);
-        let mut found = Vec::new();
+        let memories = net.remembered(features, masks, &presence);
+        let mut entries = Vec::new();
         for (i, (answer, (id, _))) in answers.into_iter().zip(some).enumerate() {
             let mut entry = Entry::of(answer, self.fill_holes_px, false)?;
             entry.memory = Some(memories.clone().narrow(0, i, 1));
-            found.push((*id, entry));
+            entries.push((*id, entry));
         }
-        Ok(found)
+        Ok(entries)
     }
 
     /// A frame's features.
     pub(super) fn features(&mut self, frame: usize) -> Result<Arc<Features>, NetError> {
         if let Some(i) = self.features.iter().position(|(at, _)| *at == frame) {
-            let kept = self.features.remove(i);
-            let features = Arc::clone(&kept.1);
-            self.features.push(kept);
+            let entry = self.features.remove(i);
+            let features = Arc::clone(&entry.1);
+            self.features.push(entry);
             return Ok(features);
         }
         let image = (self.images)(frame).map_err(|reason| NetError::Frame { frame, reason })?;

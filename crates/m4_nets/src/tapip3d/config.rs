@@ -177,8 +177,8 @@ impl Sizes {
                 .ok_or_else(|| format!("{name} is missing or has no axis {axis}"))
         };
         let layers = |prefix: &str, rest: &str| {
-            let there = |i: &usize| shapes.contains_key(&format!("{prefix}.{i}.{rest}"));
-            (0..).take_while(there).count()
+            let exists = |i: &usize| shapes.contains_key(&format!("{prefix}.{i}.{rest}"));
+            (0..).take_while(exists).count()
         };
         let first = "corr_processor.transformers.0";
         let sizes = Self {

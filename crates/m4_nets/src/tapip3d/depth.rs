@@ -14,17 +14,17 @@ const TURN_DEGREES: f64 = 15.0;
 /// `depth` in `size`: the mean of what is known around each pixel. 0 where nothing is.
 pub fn resized(depth: &DepthMap, size: (usize, usize)) -> Vec<f32> {
     let (w, h) = depth.size();
-    let z: Vec<f32> = depth.data().iter().map(|&z| known(z)).collect();
+    let z: Vec<f32> = depth.data().iter().map(|&z| depth_in_range(z)).collect();
     if (w, h) == size {
         return z;
     }
-    let there: Vec<f32> = z.iter().map(|&z| f32::from(z > 0.0)).collect();
+    let coverage: Vec<f32> = z.iter().map(|&z| f32::from(z > 0.0)).collect();
     let (columns, rows) = (Kernels::linear(w, size.0), Kernels::linear(h, size.1));
-    let there = resampled(&there, w, h, &columns, &rows);
+    let coverage = resampled(&coverage, w, h, &columns, &rows);
     let mut z = resampled(&z, w, h, &columns, &rows);
-    for (z, there) in z.iter_mut().zip(there) {
-        *z = if there > 1e-6 {
-            *z / (there + 1e-6)
+    for (z, coverage) in z.iter_mut().zip(coverage) {
+        *z = if coverage > 1e-6 {
+            *z / (coverage + 1e-6)
         } else {
             0.0
         };
@@ -32,7 +32,7 @@ pub fn resized(depth: &DepthMap, size: (usize, usize)) -> Vec<f32> {
     z
 }
 
-fn known(z: f32) -> f32 {
+fn depth_in_range(z: f32) -> f32 {
     if z > 0.0 && z < FARTHEST { z } else { 0.0 }
 }
 
@@ -82,9 +82,9 @@ pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<f3
         let n = unit(n);
         // edges repeat the pixel itself, which never turns
         window(x, y, w, h).any(|i| {
-            let (other, known) = normals[i];
+            let (other, valid) = normals[i];
             let other = unit(other);
-            known && n[0] * other[0] + n[1] * other[1] + n[2] * other[2] < least
+            valid && n[0] * other[0] + n[1] * other[1] + n[2] * other[2] < least
         })
     });
     let edges = map(w, h, |x, y| {
@@ -128,8 +128,8 @@ fn normal(z: &[f32], w: usize, h: usize, lens: &PosedPinhole, x: usize, y: usize
         return none;
     };
     let around = [(0, -1), (-1, 0), (0, 1), (1, 0)].map(|(dx, dy)| {
-        let there = point(dx, dy)?;
-        Some([0, 1, 2].map(|i| there[i] - here[i]))
+        let neighbour = point(dx, dy)?;
+        Some([0, 1, 2].map(|i| neighbour[i] - here[i]))
     });
     let mut sum = [0.0; 3];
     let mut any = false;

@@ -62,16 +62,16 @@ impl Attention {
         KeysValues(k, v)
     }
 
-    /// What queries find among keys and values, `[b, n, width]`.
-    pub fn found(&self, q: Tensor<4>, KeysValues(k, v): KeysValues) -> Tensor<3> {
+    /// The attention of queries to keys and values, `[b, n, width]`.
+    pub fn attend(&self, q: Tensor<4>, KeysValues(k, v): KeysValues) -> Tensor<3> {
         let scores = softmax(q.matmul(k.swap_dims(2, 3)), 3);
-        let found = scores.matmul(v).swap_dims(1, 2);
-        let [b, n, h, c] = found.dims();
-        flat(found.reshape([b, n, h * c]), |x| self.to_out.forward(x))
+        let attention = scores.matmul(v).swap_dims(1, 2);
+        let [b, n, h, c] = attention.dims();
+        flat(attention.reshape([b, n, h * c]), |x| self.to_out.forward(x))
     }
 
-    /// The same as [`found`](Self::found) for one query token `[1, width]`, as matrices that tokens
-    /// are multiplied with.
+    /// [`attend`](Self::attend) for one query token `[1, width]`, as matrices that tokens are
+    /// multiplied with.
     pub fn pooling(&self, token: Tensor<2>) -> Pooling {
         let [_, width] = token.dims();
         let q = self.queries(token.unsqueeze_dim(0)).squeeze_dim::<3>(0);
@@ -111,13 +111,13 @@ impl Pooling {
         let [b, _, width] = x.dims();
         let [_, heads] = self.scores.dims();
         let scores = flat(x.clone(), |x| x.matmul(self.scores.clone()));
-        let found = softmax(scores.swap_dims(1, 2), 2).matmul(x);
-        let found = found
+        let output = softmax(scores.swap_dims(1, 2), 2).matmul(x);
+        let output = output
             .reshape([b, heads * width])
             .matmul(self.values.clone());
         match &self.bias {
-            Some(bias) => found + bias.clone().unsqueeze(),
-            None => found,
+            Some(bias) => output + bias.clone().unsqueeze(),
+            None => output,
         }
     }
 }
@@ -176,7 +176,7 @@ impl SelfBlock {
         let y = plain_norm(x.clone());
         let x = x + self
             .attn
-            .found(self.attn.queries(y.clone()), self.attn.keys_values(y));
+            .attend(self.attn.queries(y.clone()), self.attn.keys_values(y));
         x.clone() + self.mlp.forward(plain_norm(x))
     }
 }
@@ -210,7 +210,7 @@ impl CrossBlock {
 
     /// The tokens `x`, whose queries are `q`, in the light of `others`: the shape of `x`.
     pub fn revised(&self, x: Tensor<3>, q: Tensor<4>, others: KeysValues) -> Tensor<3> {
-        let x = x + self.cross_attn.found(q, others);
+        let x = x + self.cross_attn.attend(q, others);
         x.clone() + self.mlp.forward(plain_norm(x))
     }
 

@@ -111,15 +111,18 @@ impl Cloud {
             }
         }
         for (i, &square) in squares[..n].iter().enumerate() {
-            let found = (square, (first + i) as u32);
+            let candidate = (square, (first + i) as u32);
             if best.len() == k {
-                if !best.last().is_some_and(|&last| comes_before(found, last)) {
+                if !best
+                    .last()
+                    .is_some_and(|&last| comes_before(candidate, last))
+                {
                     continue;
                 }
                 best.pop();
             }
-            let place = best.partition_point(|&other| comes_before(other, found));
-            best.insert(place, found);
+            let place = best.partition_point(|&other| comes_before(other, candidate));
+            best.insert(place, candidate);
         }
     }
 }

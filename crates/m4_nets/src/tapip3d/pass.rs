@@ -120,13 +120,12 @@ impl Frames {
     }
 }
 
-/// Takes all `groups` in `order`. What is `known` of queries grows in the forward pass, which comes
-/// first.
+/// Takes all `groups` in `order`. The forward pass comes first and adds queries to `track_state`.
 pub fn walk(
     source: &Source<'_>,
     order: FrameOrder,
     range: [f32; 2],
-    known: &mut TrackState,
+    track_state: &mut TrackState,
     groups: &[Group],
     frames: &mut Frames,
     mut report: impl FnMut(),
@@ -148,7 +147,7 @@ pub fn walk(
                 frames.shrink(&needed, order);
                 let loaded = source.load(frame, range)?;
                 if !order.backward {
-                    known.learn(source, frame, &loaded, groups);
+                    track_state.learn(source, frame, &loaded, groups);
                 }
                 frames
                     .held
@@ -158,8 +157,8 @@ pub fn walk(
         }
         let end = (first + order.window).min(order.frames);
         for time in entered..end {
-            for (group, walkers) in known.groups.iter().zip(&mut walkers) {
-                for batch in known.batches_at(group, order, time) {
+            for (group, walkers) in track_state.groups.iter().zip(&mut walkers) {
+                for batch in track_state.batches_at(group, order, time) {
                     let some = batch.points.iter().enumerate();
                     let some = some.map(|(i, &p)| {
                         TrackedPoint::new(batch.queries.get(i).copied(), time, p, order.times())
@@ -172,12 +171,12 @@ pub fn walk(
         let (lowest, highest) = (needed.iter().min(), needed.iter().max());
         let (lowest, highest) = (lowest.copied().unwrap_or(0), highest.copied().unwrap_or(0));
         let window = Window::new(window, config).ok_or_else(|| no_depth(lowest, highest))?;
-        for (group, walkers) in known.groups.iter().zip(&mut walkers) {
+        for (group, walkers) in track_state.groups.iter().zip(&mut walkers) {
             if walkers.is_empty() {
                 report();
                 continue;
             }
-            let batches = (0..end).flat_map(|time| known.batches_at(group, order, time));
+            let batches = (0..end).flat_map(|time| track_state.batches_at(group, order, time));
             let batches: Vec<&Sides> = batches.map(|batch| &batch.sides).collect();
             let sides = window.query_sides(net, &Sides::together(&batches)?);
             let mut state = State::before(walkers, first, order.window, &window);
@@ -248,9 +247,9 @@ impl TrackState {
                 source.net.config.neighbours,
             )
         };
-        for (known, group) in self.groups.iter_mut().zip(groups) {
+        for (batches, group) in self.groups.iter_mut().zip(groups) {
             if let Some((queries, points)) = group.get(&frame) {
-                known.insert(
+                batches.insert(
                     frame,
                     Batch {
                         queries: queries.clone(),

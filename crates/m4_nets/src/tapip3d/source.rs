@@ -171,7 +171,7 @@ pub fn sides(
     neighbours: usize,
 ) -> Sides {
     let sizes = map_sizes(size, maps.len());
-    let seen: Vec<[f64; 2]> = queries.iter().map(|&q| seen(lens, size, q)).collect();
+    let pixels: Vec<[f64; 2]> = queries.iter().map(|&q| pixel_of(lens, size, q)).collect();
     let (mut features, mut around) = (Vec::new(), Vec::new());
     for ((map, points), (w, h)) in maps.iter().zip(points).zip(sizes) {
         let cloud = Cloud::new(points.clone());
@@ -182,7 +182,7 @@ pub fn sides(
             })
             .collect();
         let scale = [w as f64 / size.0 as f64, h as f64 / size.1 as f64];
-        let places: Vec<[f64; 2]> = seen
+        let places: Vec<[f64; 2]> = pixels
             .iter()
             .map(|p| [p[0] * scale[0], p[1] * scale[1]])
             .collect();
@@ -214,7 +214,7 @@ pub fn sides(
 }
 
 /// Where a point is seen; as far out as two images.
-fn seen(lens: &PosedPinhole, (w, h): (usize, usize), q: [f32; 3]) -> [f64; 2] {
+fn pixel_of(lens: &PosedPinhole, (w, h): (usize, usize), q: [f32; 3]) -> [f64; 2] {
     let q = Vector3::from(q.map(f64::from));
     let [x, y] = lens.project(&q);
     let bound = |x: f64, n: usize| x.clamp(-2.0 * n as f64, 2.0 * n as f64);

@@ -435,11 +435,11 @@ fn whole_clip_matches_the_reference() {
         .iter()
         .map(|&(i, t)| tracks.visibility[i * FRAMES + t])
         .collect();
-    let seen: Vec<f32> = followed
+    let visibility: Vec<f32> = followed
         .iter()
         .map(|&(i, t)| 1.0 / (1.0 + (-logits[t * n + i]).exp()))
         .collect();
-    assert_close("visibility", &got, &seen, 1e-4);
+    assert_close("visibility", &got, &visibility, 1e-4);
 }
 
 /// Backward is forward on the reversed clip.
@@ -479,15 +479,15 @@ fn backward_is_forward_on_the_reversed_clip() {
         backward: true,
         ..fixture_options()
     };
-    let there = net.track(&clip, &queries, &options, &Silent).unwrap();
-    let back = net
+    let forward = net.track(&clip, &queries, &options, &Silent).unwrap();
+    let backward = net
         .track(&Reversed(&clip), &turned, &options, &Silent)
         .unwrap();
-    assert_eq!(there.world.len(), queries.len() * FRAMES);
+    assert_eq!(forward.world.len(), queries.len() * FRAMES);
     for i in 0..queries.len() {
         let at = |tracks: &PointTracks, t: usize| tracks.world[i * FRAMES + t];
-        let before: Vec<[f32; 3]> = (0..17).map(|t| at(&there, t)).collect();
-        let after: Vec<[f32; 3]> = (0..17).map(|t| at(&back, FRAMES - 1 - t)).collect();
+        let before: Vec<[f32; 3]> = (0..17).map(|t| at(&forward, t)).collect();
+        let after: Vec<[f32; 3]> = (0..17).map(|t| at(&backward, FRAMES - 1 - t)).collect();
         // the origin is another
         assert_close(
             "way back",

@@ -78,7 +78,7 @@ pub fn track_within(
         None => source.range(progress)?,
     };
     let groups = grouped(queries, &points, together(&source));
-    let mut known = TrackState {
+    let mut state = TrackState {
         frames,
         groups: vec![BTreeMap::new(); groups.len()],
         grids: [None, None],
@@ -113,7 +113,7 @@ pub fn track_within(
             &source,
             order(backward),
             range,
-            &mut known,
+            &mut state,
             &groups,
             &mut held,
             report,

@@ -85,8 +85,9 @@ impl Window {
             .enumerate()
             .for_each_init(Search::default, |search, (i, (near, &at))| {
                 let cloud = &self.clouds[i / points][level];
-                for (near, found) in near.iter_mut().zip(cloud.nearest(at, neighbours, search)) {
-                    *near = found;
+                for (near, neighbour) in near.iter_mut().zip(cloud.nearest(at, neighbours, search))
+                {
+                    *near = neighbour;
                 }
             });
         near

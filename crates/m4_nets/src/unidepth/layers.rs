@@ -126,8 +126,8 @@ impl Block {
         let projected = self.projected(x.clone(), x.clone(), Some(position), None);
         let [q, k, v] = projected.map(|x| x.reshape([n, HEADS, c]));
         let k = k.mul_scalar(1.0 / (c as f32).sqrt()).swap_dims(1, 2);
-        let found = softmax(q.matmul(k), 2).matmul(v);
-        self.added(x, found.reshape([n, width]))
+        let attention = softmax(q.matmul(k), 2).matmul(v);
+        self.added(x, attention.reshape([n, width]))
     }
 
     fn projected(
@@ -148,8 +148,8 @@ impl Block {
         [plus(q, q_position), plus(k, k_position), v]
     }
 
-    fn added(&self, x: Tensor<2>, found: Tensor<2>) -> Tensor<2> {
-        let x = self.ls1.forward(self.out.forward(found)) + x;
+    fn added(&self, x: Tensor<2>, attention: Tensor<2>) -> Tensor<2> {
+        let x = self.ls1.forward(self.out.forward(attention)) + x;
         self.ls2.forward(self.mlp.forward(x.clone())) + x
     }
 }

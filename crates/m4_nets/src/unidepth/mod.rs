@@ -224,10 +224,10 @@ impl Decoder {
 
 /// `N` numbers `[N, 1]` off the device.
 fn few<const N: usize>(x: Tensor<2>) -> Result<[f64; N], NetError> {
-    let found = <[f32; N]>::try_from(numbers(x)?);
-    let found = found
+    let array = <[f32; N]>::try_from(numbers(x)?);
+    let array = array
         .map_err(|values| NetError::Device(format!("gave {} numbers for {N}", values.len())))?;
-    Ok(found.map(f64::from))
+    Ok(array.map(f64::from))
 }
 
 impl UniDepth {

@@ -146,7 +146,7 @@ impl<'a> DroidMemory<'a> {
             let features = self.net.features(&image)?;
             self.keep(Key::Features(frame), features.permute([0, 2, 3, 1]))?;
         }
-        let values = self.kept(Key::Features(frame))?;
+        let values = self.load(Key::Features(frame))?;
         let (w, h) = self.grid();
         Ok(tensor(values, [h, w, WIDTH], &self.net.device).cast(self.net.dtype()))
     }
@@ -174,8 +174,8 @@ impl<'a> DroidMemory<'a> {
         let target = Pyramid::new(self.features(target)?, LEVELS);
         let (w, h) = self.grid();
         let centres = tensor(centres, [h, w, 2], &self.net.device).cast(DType::F32);
-        let found = scores(source, &target, centres, RADIUS);
-        Ok(found.permute([2, 0, 1]).unsqueeze())
+        let scores = scores(source, &target, centres, RADIUS);
+        Ok(scores.permute([2, 0, 1]).unsqueeze())
     }
 
     fn image(&mut self, frame: usize) -> Result<RgbImage, NetError> {
@@ -204,15 +204,15 @@ impl<'a> DroidMemory<'a> {
             .map_err(|e| self.scratch_failed(e))
     }
 
-    fn kept(&mut self, key: Key) -> Result<Vec<f32>, NetError> {
-        let found = self.store.get(key).map_err(|e| self.scratch_failed(e))?;
-        found.ok_or_else(|| self.scratch_failed(io::ErrorKind::NotFound.into()))
+    fn load(&mut self, key: Key) -> Result<Vec<f32>, NetError> {
+        let values = self.store.get(key).map_err(|e| self.scratch_failed(e))?;
+        values.ok_or_else(|| self.scratch_failed(io::ErrorKind::NotFound.into()))
     }
 
     /// What is under `key` as a map, `[1, 128, h, w]`.
     fn map(&mut self, key: Key) -> Result<Tensor<4>, NetError> {
         let (w, h) = self.grid();
-        Ok(tensor(self.kept(key)?, [1, WIDTH, h, w], &self.net.device).cast(self.net.dtype()))
+        Ok(tensor(self.load(key)?, [1, WIDTH, h, w], &self.net.device).cast(self.net.dtype()))
     }
 
     fn scratch_failed(&self, reason: io::Error) -> NetError {

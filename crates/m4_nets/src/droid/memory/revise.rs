@@ -48,7 +48,7 @@ impl DroidMemory<'_> {
         source: usize,
         edges: &mut [EdgeUpdate<'_>],
     ) -> Result<Vec<f32>, NetError> {
-        let known = self.check(source, edges)?;
+        let records = self.check(source, edges)?;
         let [first, context] = self.first_state(source)?;
         let features = FeatureMap::new(self.features(source)?);
         self.check_planes(edges)?;
@@ -58,10 +58,10 @@ impl DroidMemory<'_> {
         let at_once = AT_ONCE[usize::from(net.device != Device::flex())];
         let (mut sum, mut together) = (None, None);
         let mut alone = Vec::new();
-        for (edges, known) in edges.chunks_mut(at_once).zip(known.chunks(at_once)) {
+        for (edges, records) in edges.chunks_mut(at_once).zip(records.chunks(at_once)) {
             let mut hidden = Vec::new();
             let mut corr = Vec::new();
-            for (edge, known) in edges.iter().zip(known) {
+            for (edge, record) in edges.iter().zip(records) {
                 let key = Key::Hidden(edge.id);
                 let started = self.store.contains(key);
                 hidden.push(if started {
@@ -71,7 +71,7 @@ impl DroidMemory<'_> {
                 });
                 let [u, v] = edge.projected_px;
                 let centres = u.iter().zip(v).flat_map(|(&u, &v)| [u, v]).collect();
-                corr.push(self.correlation(&features, known.target, centres)?);
+                corr.push(self.correlation(&features, record.target, centres)?);
             }
             let hidden = Tensor::cat(hidden, 0);
             let motion = self.motion(edges);
@@ -113,19 +113,19 @@ impl DroidMemory<'_> {
 
     /// The edges, if they can be revised together.
     fn check(&self, source: usize, edges: &[EdgeUpdate<'_>]) -> Result<Vec<Edge>, NetError> {
-        let mut seen = HashSet::new();
-        let known = |edge: &EdgeUpdate<'_>| match self.edges.get(&edge.id) {
+        let mut ids = HashSet::new();
+        let lookup = |edge: &EdgeUpdate<'_>| match self.edges.get(&edge.id) {
             None => refuse(format!(
                 "edge {} is not known to the tracking network; let it enter first",
                 edge.id
             )),
-            Some(known) if known.source != source || !seen.insert(edge.id) => refuse(format!(
+            Some(record) if record.source != source || !ids.insert(edge.id) => refuse(format!(
                 "edge {} does not belong here: it starts at frame {}, and each edge of a source is revised once a time",
-                edge.id, known.source
+                edge.id, record.source
             )),
-            Some(known) => Ok(*known),
+            Some(record) => Ok(*record),
         };
-        edges.iter().map(known).collect()
+        edges.iter().map(lookup).collect()
     }
 
     fn check_planes(&self, edges: &[EdgeUpdate<'_>]) -> Result<(), NetError> {
@@ -183,8 +183,8 @@ fn write(edges: &mut [EdgeUpdate<'_>], delta: &[f32], weight: &[f32]) {
         let targets = edge.target_px.iter_mut().zip(edge.weight.iter_mut());
         targets.zip(edge.projected_px)
     });
-    for (((target, kept), projected), (delta, weight)) in components.zip(planes) {
+    for (((target, edge_weight), projected), (delta, weight)) in components.zip(planes) {
         *target = projected.iter().zip(delta).map(|(p, d)| p + d).collect();
-        *kept = weight.to_vec();
+        *edge_weight = weight.to_vec();
     }
 }

@@ -112,8 +112,8 @@ impl<K: Copy + Eq + Hash> Store<K> {
             bytes.len(),
             "planes of one size"
         );
-        let known = self.slots.get(&key).or_else(|| self.free.first());
-        let slot = known.copied().unwrap_or(self.slots.len());
+        let old_slot = self.slots.get(&key).or_else(|| self.free.first());
+        let slot = old_slot.copied().unwrap_or(self.slots.len());
         if slot < self.room() {
             self.held.resize(self.held.len().max(slot + 1), Vec::new());
             self.held[slot] = bytes;

@@ -132,7 +132,7 @@ fn a_loop_agrees_with_the_module() {
         .0;
     let mut hidden = Vec::new();
     for edge in 0..6 {
-        let values = memory.kept(Key::Hidden(edge)).unwrap();
+        let values = memory.load(Key::Hidden(edge)).unwrap();
         hidden.extend(values.chunks(N).step_by(8).flatten().copied());
     }
     agree("hidden", &hidden, &want, 1e-4);

@@ -285,15 +285,15 @@ fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
         }
     }
     // a loop so plain that it is unrolled: else the sums would lie in memory all along
-    let mut kept = [[[0.0; LANES]; VECTORS]; OUT];
+    let mut totals = [[[0.0; LANES]; VECTORS]; OUT];
     for o in 0..OUT {
         for v in 0..VECTORS {
-            kept[o][v] = acc[o][v].into();
+            totals[o][v] = acc[o][v].into();
         }
     }
-    for (kept, sums) in kept.iter().zip(sums.chunks_exact_mut(GROUP)) {
-        for (sum, kept) in sums[tile..].iter_mut().zip(kept.as_flattened()) {
-            *sum += kept;
+    for (totals, sums) in totals.iter().zip(sums.chunks_exact_mut(GROUP)) {
+        for (sum, total) in sums[tile..].iter_mut().zip(totals.as_flattened()) {
+            *sum += total;
         }
     }
 }

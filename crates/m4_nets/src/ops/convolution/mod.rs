@@ -66,11 +66,11 @@ fn is_for_kernel(parts: &[Tensor<4>], conv: &Conv2d) -> bool {
     };
     let half = PaddingConfig2d::Explicit(kh / 2, kw / 2, kh / 2, kw / 2);
     let plain = conv.stride == [1, 1] && conv.dilation == [1, 1] && conv.groups == 1;
-    let given: usize = parts.iter().map(|p| p.dims()[1]).sum();
+    let n_channels: usize = parts.iter().map(|p| p.dims()[1]).sum();
     let fits = parts
         .iter()
         .all(|p| [0, 2, 3].map(|k| p.dims()[k]) == [n, h, w])
-        && given == channels;
+        && n_channels == channels;
     let centred = kh % 2 == 1 && kw % 2 == 1 && conv.padding == half;
     let bias = conv.bias.iter().map(|bias| bias.val().dtype());
     let mut types = parts
