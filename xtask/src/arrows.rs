@@ -115,19 +115,19 @@ pub fn allowed(markdown: &str) -> Arrows {
 
 /// Compares what is with what may be; one line a mistake, empty when all is well.
 pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
-    let mut found = Vec::new();
+    let mut faults = Vec::new();
     for (kind, arrows) in [("", &actual.normal), ("dev-", &actual.dev)] {
         for (from, targets) in arrows {
             let Some(may) = allowed.get(from) else {
                 if kind.is_empty() {
-                    found.push(format!("{from} has no row in the table of ARCHITECTURE.md"));
+                    faults.push(format!("{from} has no row in the table of ARCHITECTURE.md"));
                 }
                 continue;
             };
             for to in targets {
                 let testing = kind == "dev-" && for_tests(from, to);
                 if !testing && !may.contains(to) {
-                    found.push(format!("{from} has a {kind}dependency on {to}, which ARCHITECTURE.md does not allow"));
+                    faults.push(format!("{from} has a {kind}dependency on {to}, which ARCHITECTURE.md does not allow"));
                 }
             }
         }
@@ -136,11 +136,11 @@ pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
         .keys()
         .filter(|name| !actual.normal.contains_key(*name))
     {
-        found.push(format!(
+        faults.push(format!(
             "ARCHITECTURE.md has a row for {name}, which is not a crate of this workspace"
         ));
     }
-    found
+    faults
 }
 
 /// Checks the workspace at `root` against its ARCHITECTURE.md.
@@ -149,29 +149,29 @@ pub fn check(root: &Path) -> Result<()> {
     let markdown = std::fs::read_to_string(&path)
         .with_context(|| format!("cannot read {}", path.display()))?;
     let actual = actual(root)?;
-    let found = violations(&actual, &allowed(&markdown));
-    if found.is_empty() {
+    let faults = violations(&actual, &allowed(&markdown));
+    if faults.is_empty() {
         Ok(())
     } else {
-        bail!("{}", found.join("\n"))
+        bail!("{}", faults.join("\n"))
     }
 }
 
 /// The packages of a Cargo.lock that come from a git repository, each as `name: source`.
 pub fn git_sources(lock: &str) -> Vec<String> {
     let mut name = "";
-    let mut found = Vec::new();
+    let mut sources = Vec::new();
     for line in lock.lines() {
         if let Some(value) = line.strip_prefix("name = ") {
             name = value.trim_matches('"');
         } else if let Some(value) = line.strip_prefix("source = ") {
             let source = value.trim_matches('"');
             if source.starts_with("git+") {
-                found.push(format!("{name}: {source}"));
+                sources.push(format!("{name}: {source}"));
             }
         }
     }
-    found
+    sources
 }
 
 /// Checks the Cargo.lock of the workspace at `root`.
@@ -179,10 +179,10 @@ pub fn check_lock(root: &Path) -> Result<()> {
     let path = root.join("Cargo.lock");
     let lock = std::fs::read_to_string(&path)
         .with_context(|| format!("cannot read {}", path.display()))?;
-    let found = git_sources(&lock);
-    if found.is_empty() {
+    let sources = git_sources(&lock);
+    if sources.is_empty() {
         Ok(())
     } else {
-        bail!("packages from git:\n{}", found.join("\n"))
+        bail!("packages from git:\n{}", sources.join("\n"))
     }
 }

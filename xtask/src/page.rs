@@ -42,8 +42,8 @@ pub fn build(root: &Path, work: &Path) -> Result<()> {
 /// Builds the page in `work`, runs its own tests (those in a browser with `chromium`), and compares
 /// it byte for byte with the one that is kept.
 pub fn compare(root: &Path, work: &Path, chromium: Option<&Path>) -> Result<Outcome> {
-    let found = Command::new("npm").arg("--version").output();
-    if !found.is_ok_and(|o| o.status.success()) {
+    let result = Command::new("npm").arg("--version").output();
+    if !result.is_ok_and(|o| o.status.success()) {
         return Ok(Outcome::Skipped {
             reason: "npm is not installed".to_owned(),
         });
@@ -90,7 +90,7 @@ fn copy(from: &Path, to: &Path) -> Result<()> {
     {
         let entry = entry?;
         let (name, target) = (entry.file_name(), to.join(entry.file_name()));
-        if MADE.iter().any(|made| name == *made) {
+        if MADE.iter().any(|output| name == *output) {
             continue;
         }
         if entry.file_type()?.is_dir() {

@@ -52,17 +52,17 @@ fn number(text: &str) -> &str {
 
 /// The markers of a source: `Minute4D Eq. 9` as `Eq. 9`, `Minute4D sec. 3.1` as `sec. 3.1`.
 pub fn markers(source: &str) -> BTreeSet<String> {
-    let mut found = BTreeSet::new();
+    let mut markers = BTreeSet::new();
     for (at, _) in source.match_indices(PAPER) {
         let rest = &source[at + PAPER.len()..];
         for kind in ["Eq. ", "sec. "] {
             match rest.strip_prefix(kind).map(number) {
-                Some(number) if !number.is_empty() => found.insert(format!("{kind}{number}")),
+                Some(number) if !number.is_empty() => markers.insert(format!("{kind}{number}")),
                 _ => false,
             };
         }
     }
-    found
+    markers
 }
 
 /// The rows of the table whose header starts with `paper`.
@@ -94,7 +94,7 @@ pub fn rows(markdown: &str) -> Vec<Row> {
 
 /// Compares table and sources; one line per mistake, empty when all is well.
 pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
-    let mut found = Vec::new();
+    let mut faults = Vec::new();
     for (item, caption) in ITEMS {
         match &rows
             .iter()
@@ -102,11 +102,11 @@ pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
             .collect::<Vec<_>>()[..]
         {
             [row] if caption.is_empty() || row.caption == caption => {}
-            [row] => found.push(format!(
+            [row] => faults.push(format!(
                 "the row for {item} has the caption `{}` in place of `{caption}`",
                 row.caption
             )),
-            several => found.push(format!(
+            several => faults.push(format!(
                 "the table has {} rows for {item} in place of one",
                 several.len()
             )),
@@ -114,15 +114,15 @@ pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
     }
     for Row { item, files, .. } in rows {
         if files.is_empty() {
-            found.push(format!("the row for {item} names no file"));
+            faults.push(format!("the row for {item} names no file"));
         }
         for file in files {
             match sources.get(file) {
-                None => found.push(format!(
+                None => faults.push(format!(
                     "the row for {item} names {file}, which is no source file"
                 )),
                 Some(text) if !markers(text).contains(item) => {
-                    found.push(format!(
+                    faults.push(format!(
                         "{file} lacks the marker `{PAPER}{item}` of its row"
                     ));
                 }
@@ -136,13 +136,13 @@ pub fn violations(rows: &[Row], sources: &Sources) -> Vec<String> {
                 .iter()
                 .any(|row| row.item == marker && row.files.contains(file));
             if !named {
-                found.push(format!(
+                faults.push(format!(
                     "{file} has the marker `{PAPER}{marker}`, and no row for it names the file"
                 ));
             }
         }
     }
-    found
+    faults
 }
 
 /// The numbers of the headings of a specification: `## 3. Optimisation` as `3`, `### 4.4 Reading`
@@ -159,7 +159,7 @@ pub fn headings(markdown: &str) -> BTreeSet<String> {
 /// Citations such as `docs/spec/optimiser.md 4.4` whose file or heading does not exist; `headings`
 /// are those of each specification by its path.
 pub fn dangling(sources: &Sources, headings: &BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
-    let mut found = Vec::new();
+    let mut faults = Vec::new();
     for (file, text) in sources {
         for (at, _) in text.match_indices(SPECIFICATIONS) {
             let cited = &text[at..];
@@ -172,18 +172,18 @@ pub fn dangling(sources: &Sources, headings: &BTreeMap<String, BTreeSet<String>>
                     .split_whitespace()
                     .next()
                     .unwrap_or(specification);
-                found.push(format!("{file} cites {start}, which is no specification"));
+                faults.push(format!("{file} cites {start}, which is no specification"));
                 continue;
             };
             let section = number(rest.trim_start());
             if !headings.contains(section) {
-                found.push(format!(
+                faults.push(format!(
                     "{file} cites section `{section}` of {specification}, which has none"
                 ));
             }
         }
     }
-    found
+    faults
 }
 
 fn read(path: &Path) -> Result<String> {
@@ -227,17 +227,17 @@ pub fn sources(root: &Path) -> Result<Sources> {
 /// `docs/spec`.
 pub fn check(root: &Path) -> Result<()> {
     let sources = sources(root)?;
-    let mut found = violations(&rows(&read(&root.join("ARCHITECTURE.md"))?), &sources);
+    let mut faults = violations(&rows(&read(&root.join("ARCHITECTURE.md"))?), &sources);
     let mut specifications = BTreeMap::new();
     for name in ["optimiser", "front-end", "scaffold"] {
         let path = format!("{SPECIFICATIONS}{name}.md");
         let text = read(&root.join(&path))?;
         specifications.insert(path, headings(&text));
     }
-    found.extend(dangling(&sources, &specifications));
-    if found.is_empty() {
+    faults.extend(dangling(&sources, &specifications));
+    if faults.is_empty() {
         Ok(())
     } else {
-        bail!("{}", found.join("\n"))
+        bail!("{}", faults.join("\n"))
     }
 }

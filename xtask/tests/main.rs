@@ -135,15 +135,15 @@ fn an_arrow_that_points_back_is_found() {
     actual
         .dev
         .insert("m4_core".to_owned(), set(&["m4_kernels"]));
-    let found = violations(&actual, &may);
-    assert_eq!(found.len(), 2, "{found:?}");
+    let faults = violations(&actual, &may);
+    assert_eq!(faults.len(), 2, "{faults:?}");
     assert!(
-        found[0].contains("m4_kernels has a dependency on m4_io"),
-        "{found:?}"
+        faults[0].contains("m4_kernels has a dependency on m4_io"),
+        "{faults:?}"
     );
     assert!(
-        found[1].contains("m4_core has a dev-dependency on m4_kernels"),
-        "{found:?}"
+        faults[1].contains("m4_core has a dev-dependency on m4_kernels"),
+        "{faults:?}"
     );
 }
 
@@ -171,21 +171,21 @@ fn a_crate_without_a_row_and_a_row_without_a_crate_are_found() {
     let mut normal = may.clone();
     normal.remove("m4_io");
     normal.insert("m4_new".to_owned(), set(&[]));
-    let found = violations(
+    let faults = violations(
         &Actual {
             normal,
             dev: Arrows::new(),
         },
         &may,
     );
-    assert_eq!(found.len(), 2, "{found:?}");
+    assert_eq!(faults.len(), 2, "{faults:?}");
     assert!(
-        found.iter().any(|f| f.starts_with("m4_new has no row")),
-        "{found:?}"
+        faults.iter().any(|f| f.starts_with("m4_new has no row")),
+        "{faults:?}"
     );
     assert!(
-        found.iter().any(|f| f.contains("row for m4_io")),
-        "{found:?}"
+        faults.iter().any(|f| f.contains("row for m4_io")),
+        "{faults:?}"
     );
 }
 
@@ -246,11 +246,11 @@ fn rows_and_markers_are_read() {
         row("Eq. 10", "prune score", &["crates/a/src/ten.rs"]),
     ];
     assert_eq!(rows(EQUATIONS), want);
-    let found = markers(
+    let actual = markers(
         "//! Minute4D Eq. 1. Minute4D sec. 3.3, and Minute4D (Minute4D Eq. 10).\n//! Eq. 7 of another paper, Minute4D Eq. x",
     );
     let want = ["Eq. 1", "Eq. 10", "sec. 3.3"].map(str::to_owned);
-    assert_eq!(found, BTreeSet::from(want));
+    assert_eq!(actual, BTreeSet::from(want));
 }
 
 #[test]
@@ -258,9 +258,9 @@ fn each_kind_of_mistake_in_the_table_is_found() {
     let (rows, sources) = complete();
     assert_eq!(paper::violations(&rows, &sources), Vec::<String>::new());
     let one = |rows: &[Row], sources: &Sources, what: &str| {
-        let found = paper::violations(rows, sources);
-        assert_eq!(found.len(), 1, "{found:?}");
-        assert!(found[0].contains(what), "{found:?}");
+        let faults = paper::violations(rows, sources);
+        assert_eq!(faults.len(), 1, "{faults:?}");
+        assert!(faults[0].contains(what), "{faults:?}");
     };
 
     let mut twice = rows.clone();
@@ -289,15 +289,15 @@ fn each_kind_of_mistake_in_the_table_is_found() {
     // Eq. 10 is no marker of Eq. 1
     let mut other = sources.clone();
     other.insert(rows[0].files[0].clone(), "Minute4D Eq. 10".to_owned());
-    let found = paper::violations(&rows, &other);
-    assert_eq!(found.len(), 2, "{found:?}");
+    let faults = paper::violations(&rows, &other);
+    assert_eq!(faults.len(), 2, "{faults:?}");
     assert!(
-        found[0].contains("lacks the marker `Minute4D Eq. 1`"),
-        "{found:?}"
+        faults[0].contains("lacks the marker `Minute4D Eq. 1`"),
+        "{faults:?}"
     );
     assert!(
-        found[1].contains("no row for it names the file"),
-        "{found:?}"
+        faults[1].contains("no row for it names the file"),
+        "{faults:?}"
     );
 
     let mut extra = sources;
@@ -312,9 +312,9 @@ fn each_kind_of_mistake_in_the_table_is_found() {
     );
 
     // a row that is missing leaves its marker without one
-    let found = paper::violations(&rows[1..], &complete().1);
-    assert_eq!(found.len(), 2, "{found:?}");
-    assert!(found[0].contains("0 rows for Eq. 1 "), "{found:?}");
+    let faults = paper::violations(&rows[1..], &complete().1);
+    assert_eq!(faults.len(), 2, "{faults:?}");
+    assert!(faults[0].contains("0 rows for Eq. 1 "), "{faults:?}");
 }
 
 #[test]
@@ -332,7 +332,7 @@ fn citations_of_missing_sections_are_found() {
         "docs/spec/b.md 3",
         "docs/spec/a 3",
     ] {
-        let found = dangling(&source(bad), &specifications);
-        assert_eq!(found.len(), 1, "{bad}: {found:?}");
+        let faults = dangling(&source(bad), &specifications);
+        assert_eq!(faults.len(), 1, "{bad}: {faults:?}");
     }
 }

@@ -54,8 +54,8 @@ fn read(files: &[(&str, &str)]) -> anyhow::Result<BTreeMap<String, Vec<String>>>
         .iter()
         .map(|&(name, text)| (format!("crates/x/src/{name}"), text.to_owned()))
         .collect();
-    let found = modules("crates/x/src/", &sources)?;
-    Ok(found
+    let modules = modules("crates/x/src/", &sources)?;
+    Ok(modules
         .into_iter()
         .map(|(from, to)| (from, to.into_keys().collect()))
         .collect())
@@ -151,10 +151,10 @@ fn a_small_crate_with_a_cycle_is_refused() {
         .iter()
         .map(|&(name, text)| (format!("crates/x/src/{name}"), text.to_owned()))
         .collect();
-    let found = violations("x", &modules("crates/x/src/", &sources).unwrap());
+    let faults = violations("x", &modules("crates/x/src/", &sources).unwrap());
     let want = "modules of x use each other in a circle: a, b, c\n  a -> b: B in crates/x/src/a.rs\n  \
                 b -> c: c::C in crates/x/src/b/inner.rs\n  c -> a: a::A in crates/x/src/c.rs";
-    assert_eq!(found, [want]);
+    assert_eq!(faults, [want]);
 }
 
 #[test]
@@ -168,10 +168,10 @@ fn the_code_of_the_root_has_a_place_of_its_own() {
             ("high.rs", high),
         ]
     };
-    let found = read(&files("pub struct H;")).unwrap();
-    assert_eq!(found["main.rs"], ["high"]);
-    let found = read(&files("pub struct H; fn f() { super::help(); }")).unwrap();
-    assert_eq!(found["high"], ["main.rs"]);
+    let actual = read(&files("pub struct H;")).unwrap();
+    assert_eq!(actual["main.rs"], ["high"]);
+    let actual = read(&files("pub struct H; fn f() { super::help(); }")).unwrap();
+    assert_eq!(actual["high"], ["main.rs"]);
 }
 
 #[test]

@@ -142,15 +142,15 @@ impl Reader<'_> {
         let mut i = 0;
         while i < tokens.len() {
             let rest = &tokens[i..];
-            if let Some((attribute, taken)) = attribute(rest) {
+            if let Some((attribute, length)) = attribute(rest) {
                 let text = attribute.to_string().replace(' ', "");
                 if text == "cfg(test)" || text.starts_with("cfg(all(test,") {
-                    i += taken + item(&rest[taken..]);
+                    i += length + item(&rest[length..]);
                     continue;
                 }
                 exported |= text == "macro_export";
                 self.tokens(strings(attribute), place, false)?;
-                i += taken;
+                i += length;
                 continue;
             }
             i += match word(rest, 0).as_deref() {
@@ -169,11 +169,11 @@ impl Reader<'_> {
                 Some("use") if !sign(rest, 1, '<') => self.import(&tokens, i, place)?,
                 Some("crate" | "self" | "super") if path_goes_on(rest) => {
                     let mut paths = Vec::new();
-                    let taken = tree(rest, &[], &mut paths);
+                    let length = tree(rest, &[], &mut paths);
                     for (path, _) in &paths {
                         self.path(path, place)?;
                     }
-                    taken
+                    length
                 }
                 Some(name) if place.module.is_empty() => {
                     self.in_root(name, &tokens[..i], path_goes_on(rest), items, place);
@@ -214,7 +214,7 @@ impl Reader<'_> {
     /// `use a::{b, c as d};`: in the root it gives names.
     fn import(&mut self, tokens: &[TokenTree], at: usize, place: &Place) -> Result<usize> {
         let mut paths = Vec::new();
-        let taken = 1 + tree(&tokens[at + 1..], &[], &mut paths);
+        let length = 1 + tree(&tokens[at + 1..], &[], &mut paths);
         for (path, name) in paths {
             if !place.module.is_empty() {
                 self.path(&path, place)?;
@@ -234,7 +234,7 @@ impl Reader<'_> {
             }
             self.names.entry(name).or_insert_with(|| first.clone());
         }
-        Ok(taken)
+        Ok(length)
     }
 
     /// A word in the root's own code: an item that it defines, or a name that it uses.
@@ -334,7 +334,7 @@ fn reached<'a>(modules: &'a Modules, from: &'a str) -> BTreeSet<&'a str> {
 /// Says which modules of `name` use each other in a circle, one text for each circle; empty when
 /// there is none.
 pub fn violations(name: &str, modules: &Modules) -> Vec<String> {
-    let mut found = Vec::new();
+    let mut faults = Vec::new();
     for knot in cycles(modules) {
         let list = knot.iter().copied().collect::<Vec<_>>().join(", ");
         let mut text = format!("modules of {name} use each other in a circle: {list}");
@@ -346,9 +346,9 @@ pub fn violations(name: &str, modules: &Modules) -> Vec<String> {
                 text.push_str(&format!("\n  {from} -> {to}: {example}"));
             }
         }
-        found.push(text);
+        faults.push(text);
     }
-    found
+    faults
 }
 
 /// Checks every crate under `root`.
@@ -357,16 +357,16 @@ pub fn check(root: &Path) -> Result<()> {
     let of = |file: &'_ String| Some(file.split_once("/src/")?.0.to_owned());
     let mut packages: BTreeSet<String> = sources.keys().filter_map(of).collect();
     packages.retain(|package| root.join(package).join("Cargo.toml").is_file());
-    let mut found = Vec::new();
+    let mut faults = Vec::new();
     for package in &packages {
-        found.extend(violations(
+        faults.extend(violations(
             package,
             &modules(&format!("{package}/src/"), &sources)?,
         ));
     }
-    if found.is_empty() {
+    if faults.is_empty() {
         Ok(())
     } else {
-        bail!("{}", found.join("\n"))
+        bail!("{}", faults.join("\n"))
     }
 }

@@ -54,8 +54,8 @@ pub fn strings(attribute: TokenStream) -> TokenStream {
 /// How many tokens an item, a field or a statement takes, with the attributes that are left of it.
 pub fn item(tokens: &[TokenTree]) -> usize {
     let mut at = 0;
-    while let Some((_, taken)) = attribute(&tokens[at..]) {
-        at += taken;
+    while let Some((_, length)) = attribute(&tokens[at..]) {
+        at += length;
     }
     // Values end at a semicolon, other items at their braces, fields and arms at a comma.
     let (mut value, mut member) = (false, true);
