@@ -27,14 +27,14 @@ pub fn run(mut args: impl Iterator<Item = String>) -> Result<(), Box<dyn std::er
             eprintln!("warning: {message}");
         }
     });
-    let made = reconstruct(&Video::open(clip)?, &options)?;
+    let reconstruction = reconstruct(&Video::open(clip)?, &options)?;
     println!(
         "{} frames, {:.1} degrees of view",
-        made.summary.frames, made.summary.fov_deg
+        reconstruction.summary.frames, reconstruction.summary.fov_deg
     );
-    let scene = train(&made.capture, &options)?;
+    let scene = train(&reconstruction.capture, &options)?;
     std::fs::create_dir_all(&folder)?;
-    for (i, frame) in made.capture.frames.iter().enumerate() {
+    for (i, frame) in reconstruction.capture.frames.iter().enumerate() {
         let mut camera = frame.camera;
         // a step to the right of where the video was taken, in units of the scene
         camera.c2w.translation += camera.c2w.rotation.column(0) * 0.05;

@@ -249,8 +249,11 @@ mod tests {
             .filter(|h| h.body == 2)
             .nth(150)
             .unwrap();
-        let seen: Vec<bool> = (0..12).map(|t| scene.sees(2, &hit.local, t)).collect();
-        assert!(seen[0] && seen[11] && seen.contains(&false), "{seen:?}");
+        let visible: Vec<bool> = (0..12).map(|t| scene.sees(2, &hit.local, t)).collect();
+        assert!(
+            visible[0] && visible[11] && visible.contains(&false),
+            "{visible:?}"
+        );
         let place = scene.place(2, &hit.local, 5);
         assert!((scene.local(2, &place, 5) - hit.local).norm() < 1e-12);
         assert!(scene.surface_distance(2, &place, 5) < 1e-9);
@@ -270,13 +273,13 @@ mod tests {
         for i in 0..96 * 72 {
             let hit = scene.hit(3, i % 96, i / 96);
             if scene.sees(hit.body, &hit.local, 4) {
-                let there = scene.cast(
+                let target = scene.cast(
                     4,
                     (i % 96) as f64 + f64::from(u[i]),
                     (i / 96) as f64 + f64::from(v[i]),
                 );
-                if there.body == hit.body {
-                    let off: Vector3<f64> = there.local - hit.local;
+                if target.body == hit.body {
+                    let off: Vector3<f64> = target.local - hit.local;
                     assert!(off.norm() < 1e-3 * hit.depth, "{i}: {off}");
                     checked += 1;
                 }

@@ -49,16 +49,16 @@ pub fn find_chromium() -> Option<PathBuf> {
         return Some(path.into());
     }
     let folders = std::env::var_os("PATH").unwrap_or_default();
-    let found = std::env::split_paths(&folders)
+    let program = std::env::split_paths(&folders)
         .flat_map(|folder| NAMES.map(|name| folder.join(name)))
         .find(|path| path.is_file());
-    if found.is_none() {
+    if program.is_none() {
         skip(
             Need::Chromium,
             &format!("no Chromium is on the PATH, and {VARIABLE} is not set"),
         );
     }
-    found
+    program
 }
 
 /// A browser with one page of the viewer open; closes when dropped.

@@ -71,8 +71,8 @@ impl FormulaWeights {
     }
 
     fn at(&mut self, name: &str) -> &mut Vec<f32> {
-        let found = self.tensors.iter_mut().find(|t| t.name == name);
-        let values = found.and_then(|t| t.values.as_mut());
+        let tensor = self.tensors.iter_mut().find(|t| t.name == name);
+        let values = tensor.and_then(|t| t.values.as_mut());
         values.unwrap_or_else(|| panic!("there is no tensor {name}"))
     }
 

@@ -171,9 +171,9 @@ mod tests {
 
     #[test]
     fn every_level_runs_once() {
-        let mut seen = Vec::new();
-        on_every_level(&["a", "b"], |l| l, &["a", "c"], |l| seen.push(l));
-        assert_eq!(seen, ["a", "b"]);
+        let mut levels = Vec::new();
+        on_every_level(&["a", "b"], |l| l, &["a", "c"], |l| levels.push(l));
+        assert_eq!(levels, ["a", "b"]);
     }
 
     #[test]

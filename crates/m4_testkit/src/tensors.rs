@@ -31,8 +31,8 @@ impl Fixture {
 
     /// The words of a tensor, which are of type `dtype`.
     fn words<const N: usize>(&self, name: &str, dtype: Dtype) -> (Vec<[u8; N]>, Vec<usize>) {
-        let (bytes, found, shape) = self.tensor(name);
-        assert_eq!(found, dtype, "{name}");
+        let (bytes, actual, shape) = self.tensor(name);
+        assert_eq!(actual, dtype, "{name}");
         (bytes.as_chunks::<N>().0.to_vec(), shape)
     }
 
