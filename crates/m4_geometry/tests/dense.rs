@@ -161,7 +161,7 @@ fn references(drawn: &Drawn) -> Vec<&RgbImage> {
     drawn.images.iter().collect()
 }
 
-/// Mean relative depth error of static and of moving pixels, and intersection over union of the
+/// Mean relative depth error of static and of dynamic pixels, and intersection over union of the
 /// masks.
 fn score(drawn: &Drawn, frames: &[DenseFrame]) -> ([f64; 2], f64) {
     let (mut sum, mut count, mut both, mut either) = ([0.0; 2], [0.0; 2], 0.0, 0.0);

@@ -81,7 +81,7 @@ pub(super) struct CoarseFrame {
     /// parts left out.
     pub raw: Vec<u8>,
     /// The same opened, parts of less than the least area taken out.
-    pub moving: Vec<u8>,
+    pub dynamic: Vec<u8>,
     /// `[height][width]`: where nothing moves for sure.
     pub still: Vec<bool>,
 }
@@ -107,16 +107,20 @@ impl CoarseMasks<'_> {
             }
         };
         let radius_px = OPEN_SHARE * w.max(h) as f32;
-        let mut moving = opened(w, h, &raw, radius_px);
+        let mut dynamic = opened(w, h, &raw, radius_px);
         let least = self.least_px();
-        for pixels in Components::of(w, h, &moving).pixels {
+        for pixels in Components::of(w, h, &dynamic).pixels {
             if pixels.len() < least {
                 for p in pixels {
-                    moving[p as usize] = 0;
+                    dynamic[p as usize] = 0;
                 }
             }
         }
-        CoarseFrame { raw, moving, still }
+        CoarseFrame {
+            raw,
+            dynamic,
+            still,
+        }
     }
 
     /// The least area of a part, pixels.
@@ -201,7 +205,7 @@ pub(super) fn proposals(rough: &CoarseMasks<'_>, around: &Around, covered: &[u8]
     let (w, h) = rough.size;
     let reach_px = COVER_SHARE * w.max(h) as f32;
     let covered = dilated(w, h, covered, reach_px);
-    let mut left = around.here.moving.clone();
+    let mut left = around.here.dynamic.clone();
     for (m, c) in left.iter_mut().zip(&covered) {
         if *c > 0 {
             *m = 0;
@@ -215,7 +219,7 @@ pub(super) fn proposals(rough: &CoarseMasks<'_>, around: &Around, covered: &[u8]
     let others: Vec<Vec<u8>> = around
         .others
         .iter()
-        .map(|o| dilated(w, h, &o.moving, reach_px))
+        .map(|o| dilated(w, h, &o.dynamic, reach_px))
         .collect();
     let least = rough.least_px();
     let mut out: Vec<Proposal> = Vec::new();

@@ -1,5 +1,5 @@
-//! Tracked objects to masks and a report: masks are bound to the neighbourhood of moving pixels and
-//! painted into one map of numbers per frame.
+//! Tracked objects to masks and a report: masks are bound to the neighbourhood of dynamic pixels
+//! and painted into one map of numbers per frame.
 
 use super::InstanceError;
 use super::coarse::{Around, PERSISTENT_IN, proposals};

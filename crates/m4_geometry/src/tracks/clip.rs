@@ -149,15 +149,15 @@ pub(crate) struct Strip {
     /// One per frame.
     pub cameras: Vec<Camera>,
     /// One over the z-depth of dynamic regions, one per frame.
-    pub moving: Vec<Sparse<f32>>,
+    pub dynamic: Vec<Sparse<f32>>,
     /// Consistent flow of dynamic pixels, from each frame to the next.
     pub forward: Vec<Sparse<[f32; 2]>>,
     /// And from there back.
     pub backward: Vec<Sparse<[f32; 2]>>,
 }
 
-/// One over the depth of dynamic regions.
-pub(super) fn moving(frame: &PosedFrame) -> Sparse<f32> {
+/// The disparity of the dynamic regions of a frame.
+pub(super) fn dynamic_disparity(frame: &PosedFrame) -> Sparse<f32> {
     let (w, h) = frame.rgb.size();
     let (depth, mask) = (frame.depth.data(), frame.moving.data());
     Sparse::new(w, h, |i| {

@@ -179,7 +179,7 @@ fn again(
 ) -> Option<Lifted> {
     let strip = scene.strip;
     let (x, y) = nearest(at);
-    strip.moving[now].get(x, y)?;
+    strip.dynamic[now].get(x, y)?;
     let same_depth = |z: f64, surface: f64| (z / surface - 1.0).abs() <= f64::from(JOIN_DEPTH);
     if !same_depth(z, 1.0 / f64::from(around(strip, now, at))) {
         return None;

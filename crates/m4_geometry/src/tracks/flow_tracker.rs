@@ -1,7 +1,7 @@
 //! Points followed along optical flow, frame by frame, and brought into the world with the depth
 //! under them; without weights.
 
-use super::clip::{Strip, moving, sparse_flow_pair};
+use super::clip::{Strip, dynamic_disparity, sparse_flow_pair};
 use super::fill::State;
 use super::tracker::{nearest, thinned};
 use super::{Board, CaptureClip, PosedFrame, QueryGrid, Scene, TrackError, fill, seed};
@@ -74,7 +74,7 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid) -> Vec<Lifted> {
         y / cell * columns + x / cell
     };
     let mut all: Vec<Chain> = Vec::new();
-    let frames = strip.moving.len();
+    let frames = strip.dynamic.len();
     for start in grid.starts(frames) {
         let mut occupied = vec![false; columns * strip.height.div_ceil(cell)];
         for chain in &all {
@@ -86,7 +86,7 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid) -> Vec<Lifted> {
             }
         }
         let free = (0..occupied.len()).filter(|&c| !occupied[c]);
-        let moves = |x: usize, y: usize| strip.moving[start].get(x, y).is_some();
+        let moves = |x: usize, y: usize| strip.dynamic[start].get(x, y).is_some();
         let size = (strip.width, strip.height);
         let seeds = free.filter_map(|c| seed(size, c % columns, c / columns, cell, &moves));
         let seeds: Vec<[f32; 2]> = seeds.collect();
@@ -109,7 +109,7 @@ fn strip(clip: &CaptureClip<'_>, progress: &dyn Progress) -> Result<Strip, Track
         width: clip.size().0,
         height: clip.size().1,
         cameras: Vec::with_capacity(frames),
-        moving: Vec::with_capacity(frames),
+        dynamic: Vec::with_capacity(frames),
         forward: Vec::new(),
         backward: Vec::new(),
     };
@@ -129,8 +129,12 @@ fn strip(clip: &CaptureClip<'_>, progress: &dyn Progress) -> Result<Strip, Track
         }
         out.cameras
             .extend(batch[carried..].iter().map(|f| f.camera));
-        out.moving
-            .extend(batch[carried..].par_iter().map(moving).collect::<Vec<_>>());
+        out.dynamic.extend(
+            batch[carried..]
+                .par_iter()
+                .map(dynamic_disparity)
+                .collect::<Vec<_>>(),
+        );
         let pairs: Vec<_> = batch
             .par_windows(2)
             .map(|pair| sparse_flow_pair([&pair[0], &pair[1]]))
@@ -185,7 +189,7 @@ fn step(strip: &Strip, frame: usize, at: [f32; 2], forward: bool) -> Option<(usi
     let [u, v] = flow_of_part(strip, frame, at, forward)?;
     let to = [at[0] + u, at[1] + v];
     let (x, y) = nearest(to);
-    (is_inside(strip, to) && strip.moving.get(next)?.get(x, y).is_some()).then_some((next, to))
+    (is_inside(strip, to) && strip.dynamic.get(next)?.get(x, y).is_some()).then_some((next, to))
 }
 
 /// Whether a place is in the image.
@@ -290,7 +294,7 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain) -> Vec<Lifted> {
     out
 }
 
-/// Median disparity of the moving ones of 3x3 pixels: what leans over the edge of a mask does not
+/// Median disparity of the dynamic pixels among 3x3: what leans over the edge of a mask does not
 /// count.
 pub(super) fn around(strip: &Strip, frame: usize, at: [f32; 2]) -> f32 {
     let (x, y) = nearest(at);
@@ -298,7 +302,7 @@ pub(super) fn around(strip: &Strip, frame: usize, at: [f32; 2]) -> f32 {
     let pixels =
         rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(strip.width)).map(move |x| (x, y)));
     let mut values: Vec<f32> = pixels
-        .filter_map(|(x, y)| strip.moving[frame].get(x, y))
+        .filter_map(|(x, y)| strip.dynamic[frame].get(x, y))
         .collect();
     quantile(&mut values, 0.5).unwrap_or(f32::NAN)
 }

@@ -1,4 +1,4 @@
-//! Points of moving parts followed through *all* frames of a posed clip, seen or hidden.
+//! Points of dynamic parts followed through *all* frames of a posed clip, seen or hidden.
 //!
 //! ```text
 //! masks every n-th frame -> grid of queries

@@ -50,7 +50,7 @@ pub(super) struct Merged<'a> {
     pub cameras: &'a [Camera],
     pub depth: &'a [Measured],
     /// Above 0 in dynamic regions, which are left as they are.
-    pub moving: &'a [Vec<u8>],
+    pub dynamic: &'a [Vec<u8>],
 }
 
 /// Disparities of the two surfaces at a pixel in doubt.
@@ -105,8 +105,8 @@ impl Merged<'_> {
         self.depth[i]
             .confidence
             .iter()
-            .zip(&self.moving[i])
-            .map(|(c, moving)| *c > 0.0 && *moving == 0)
+            .zip(&self.dynamic[i])
+            .map(|(c, dynamic)| *c > 0.0 && *dynamic == 0)
             .collect()
     }
 
@@ -143,7 +143,7 @@ impl Merged<'_> {
             };
             let nearer = target.disparity + STEP * self.shots[*j].range.step;
             let hidden = self.depth[*j].confidence[q] > 0.0 && self.depth[*j].disparity[q] > nearer;
-            if hidden || self.moving[*j][q] > 0 {
+            if hidden || self.dynamic[*j][q] > 0 {
                 continue;
             }
             let theirs = bilinear_rgb(w, h, &self.shots[*j].frame.rgb, target.x, target.y);
@@ -374,12 +374,12 @@ mod tests {
                 .collect(),
         };
         let depth: Vec<Measured> = (0..7).map(depth).collect();
-        let moving = vec![vec![0u8; W * H]; 7];
+        let dynamic = vec![vec![0u8; W * H]; 7];
         let clip = Merged {
             shots: &shots,
             cameras: &cameras,
             depth: &depth,
-            moving: &moving,
+            dynamic: &dynamic,
         };
         let smoother = Smoother::new(W, H, &shots[3].frame.rgb, 8.0);
         clip.assigned(3, &[0, 1, 5, 6], &smoother)
@@ -436,12 +436,12 @@ mod tests {
             };
             3
         ];
-        let moving = vec![vec![0u8; W * H]; 3];
+        let dynamic = vec![vec![0u8; W * H]; 3];
         let clip = Merged {
             shots: &shots,
             cameras: &cameras,
             depth: &depth,
-            moving: &moving,
+            dynamic: &dynamic,
         };
         let smoother = Smoother::new(W, H, &shots[1].frame.rgb, 8.0);
         assert!(

@@ -123,7 +123,7 @@ pub fn estimate(
     let input_masks =
         masks.map(|masks| masks.iter().map(|mask| mask_at_size(mask, w, h)).collect());
     let MotionSegmentation {
-        moving,
+        dynamic,
         measured,
         filled,
         refined,
@@ -133,7 +133,7 @@ pub fn estimate(
         height: h,
         rate,
         cameras: &clues.cameras,
-        moving: &moving,
+        dynamic: &dynamic,
         disparity: &filled,
         flows: &flows,
     };
@@ -145,11 +145,11 @@ pub fn estimate(
     if parallax && ground.one_lens {
         rigid_objects::place(&scene, |i| clip.smoother(i), &mut disparity, progress)?;
     }
-    for ((disparity, refined), moving) in disparity.iter_mut().zip(refined).zip(&moving) {
+    for ((disparity, refined), dynamic) in disparity.iter_mut().zip(refined).zip(&dynamic) {
         for ((d, refined), _) in disparity
             .iter_mut()
             .zip(refined)
-            .zip(moving)
+            .zip(dynamic)
             .filter(|(_, moves)| **moves == 0)
         {
             *d = refined;
@@ -157,7 +157,7 @@ pub fn estimate(
     }
     for i in 0..count {
         if parallax {
-            mono.place_moving(i, &measured[i], &filled[i], &moving[i], &mut disparity[i]);
+            mono.place_dynamic(i, &measured[i], &filled[i], &dynamic[i], &mut disparity[i]);
         }
         mono.overrule(i, &mut disparity[i]);
     }
@@ -177,7 +177,7 @@ pub fn estimate(
         size: (w, h),
         disparity,
         confidence,
-        moving,
+        moving: dynamic,
         tracks,
     })
 }
@@ -202,7 +202,7 @@ impl Estimate {
                 size: self.size,
                 rgb: &rgb_and_grey(frames[i], width, height).0,
                 disparity: &self.disparity[i],
-                moving: &self.moving[i],
+                dynamic: &self.moving[i],
                 confidence: &self.confidence[i],
             };
             enlarge(frames[i], &small)
@@ -226,7 +226,7 @@ struct Small<'a> {
     /// Colours, 0..255.
     rgb: &'a [[u8; 3]],
     disparity: &'a [f32],
-    moving: &'a [u8],
+    dynamic: &'a [u8],
     confidence: &'a [f32],
 }
 
@@ -248,10 +248,10 @@ fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
             let (mut moves, mut total) = (0.0, 0.0);
             for (i, w) in near {
                 total += w;
-                moves += if small.moving[i] > 0 { w } else { 0.0 };
+                moves += if small.dynamic[i] > 0 { w } else { 0.0 };
             }
-            let moving = moves > 0.5 * total;
-            let fits = |i: usize| (small.moving[i] > 0) == moving;
+            let dynamic = moves > 0.5 * total;
+            let fits = |i: usize| (small.dynamic[i] > 0) == dynamic;
             let (mut best, mut most) = (near[4].0, 0.0f32);
             for (i, w) in near {
                 if fits(i) && w > most {
@@ -272,8 +272,8 @@ fn enlarge(image: &RgbImage, small: &Small<'_>) -> DenseFrame {
             } else {
                 1.0 / surface
             };
-            mask[(x, y)] = if moving { 255 } else { 0 };
-            confidence[(x, y)] = if moving || weight == 0.0 {
+            mask[(x, y)] = if dynamic { 255 } else { 0 };
+            confidence[(x, y)] = if dynamic || weight == 0.0 {
                 0.0
             } else {
                 (sure / weight).min(1.0)
@@ -324,7 +324,7 @@ mod tests {
         let disparity: Vec<f32> = (0..16 * 12)
             .map(|i| if i % 16 < 5 { 0.25 } else { 1.0 })
             .collect();
-        let moving: Vec<u8> = (0..16 * 12)
+        let dynamic: Vec<u8> = (0..16 * 12)
             .map(|i| if i % 16 < 5 { 0 } else { 255 })
             .collect();
         let confidence = vec![1.0; 16 * 12];
@@ -332,7 +332,7 @@ mod tests {
             size: (16, 12),
             rgb: &rgb,
             disparity: &disparity,
-            moving: &moving,
+            dynamic: &dynamic,
             confidence: &confidence,
         };
         let out = enlarge(&image, &small);

@@ -13,7 +13,7 @@
 //!                                                             outlines of the masks: what differs from the background behind them
 //!                                                                                    |
 //!                                                                                    v
-//!                                           depth of the moving parts (without parallax: layers) -> full size
+//!                                         depth of the dynamic parts (without parallax: layers) -> full size
 //!                                                     '-> tracks along the flow ([`crate::tracks`])
 //! ```
 //!

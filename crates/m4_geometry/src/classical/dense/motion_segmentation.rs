@@ -47,7 +47,7 @@ pub(super) struct Clip<'a> {
 
 /// Dynamic masks, and depth as if everything were static.
 pub(super) struct MotionSegmentation {
-    pub moving: Masks,
+    pub dynamic: Masks,
     pub measured: Vec<Measured>,
     /// Disparity of static regions, also behind dynamic ones, which are placed by it.
     pub filled: Vec<Vec<f32>>,
@@ -70,30 +70,30 @@ impl Clip<'_> {
         input_masks: Option<Masks>,
     ) -> Result<MotionSegmentation, DenseError> {
         let given_masks = input_masks.is_some();
-        let mut moving = match input_masks {
+        let mut dynamic = match input_masks {
             Some(masks) => masks,
-            None => self.moving(&swept)?,
+            None => self.dynamic_masks(&swept)?,
         };
-        let mut measured = self.measured(&swept, Some(&moving))?;
+        let mut measured = self.measured(&swept, Some(&dynamic))?;
         // a clip's planes are its memory: each goes as soon as nothing needs it
         drop(swept);
-        let filled = self.filled(&measured, Some(&moving))?;
+        let filled = self.filled(&measured, Some(&dynamic))?;
         let refined = if self.parallax {
-            self.refined(&measured, &filled, &moving)?
+            self.refined(&measured, &filled, &dynamic)?
         } else {
             Vec::new()
         };
         if !given_masks {
             if self.parallax {
-                moving = self.sharpened(&moving, &self.grown(&moving)?, &refined)?;
+                dynamic = self.sharpened(&dynamic, &self.grown(&dynamic)?, &refined)?;
             }
-            moving = self.segmented(moving)?;
-            for (measured, moving) in measured.iter_mut().zip(&moving) {
-                distrust(measured, moving);
+            dynamic = self.segmented(dynamic)?;
+            for (measured, dynamic) in measured.iter_mut().zip(&dynamic) {
+                distrust(measured, dynamic);
             }
         }
         Ok(MotionSegmentation {
-            moving,
+            dynamic,
             measured,
             filled,
             refined,
@@ -106,7 +106,7 @@ impl Clip<'_> {
         &self,
         measured: &[Measured],
         filled: &[Vec<f32>],
-        moving: &[Vec<u8>],
+        dynamic: &[Vec<u8>],
     ) -> Result<Vec<Vec<f32>>, DenseError> {
         let cameras = &self.clues.cameras;
         let all: Vec<usize> = (0..cameras.len()).collect();
@@ -135,7 +135,7 @@ impl Clip<'_> {
             shots: self.shots,
             cameras,
             disparity: &start,
-            moving,
+            dynamic,
         };
         let refined = self.each("refining depth", |i| {
             if keys.binary_search(&i).is_err() {
@@ -150,7 +150,7 @@ impl Clip<'_> {
                 disparity: clip.refined(&rounds, i),
                 confidence: measured[i].confidence.clone(),
             };
-            self.mono.impose(i, &mut out, Some(&moving[i]));
+            self.mono.impose(i, &mut out, Some(&dynamic[i]));
             out.disparity
                 .into_iter()
                 .zip(out.confidence)
@@ -171,14 +171,14 @@ impl Clip<'_> {
             shots: self.shots,
             cameras,
             depth: &merged,
-            moving,
+            dynamic,
         };
         self.each("filling depth", |i| {
             let smoother = self.smoother(i);
             let mut fused = merged.assigned(i, &at(&all, i, &edges::PARALLAX_PX, 0), &smoother);
-            self.mono.impose(i, &mut fused, Some(&moving[i]));
-            let fused = self.mono.with_prior(i, &fused, Some(&moving[i]));
-            static_depth::fill_planes(&self.shots[i], smoother, &fused, Some(&moving[i]))
+            self.mono.impose(i, &mut fused, Some(&dynamic[i]));
+            let fused = self.mono.with_prior(i, &fused, Some(&dynamic[i]));
+            static_depth::fill_planes(&self.shots[i], smoother, &fused, Some(&dynamic[i]))
         })
     }
 
@@ -203,7 +203,7 @@ impl Clip<'_> {
 
     /// Masks of dynamic regions, with the outlines of the images as far as depth of this precision
     /// shows what is behind them.
-    fn moving(&self, swept: &[Vec<f32>]) -> Result<Masks, DenseError> {
+    fn dynamic_masks(&self, swept: &[Vec<f32>]) -> Result<Masks, DenseError> {
         let (mut last, mut measured) = self.round(swept, None)?;
         for _ in 1..ROUNDS {
             drop(measured);
@@ -224,10 +224,10 @@ impl Clip<'_> {
         self.sharpened(&last, &near, &background)
     }
 
-    /// `moving` with the outlines that the segmenter finds, if there is one.
-    fn segmented(&self, moving: Masks) -> Result<Masks, DenseError> {
+    /// `dynamic` with the outlines that the segmenter finds, if there is one.
+    fn segmented(&self, dynamic: Masks) -> Result<Masks, DenseError> {
         let Some(segmenter) = self.sources.segmenter else {
-            return Ok(moving);
+            return Ok(dynamic);
         };
         try_each(
             self.frames.len(),
@@ -238,7 +238,7 @@ impl Clip<'_> {
                     segmenter,
                     self.frames[i],
                     (self.width, self.height),
-                    &moving[i],
+                    &dynamic[i],
                 )
                 .map_err(|source| DenseError::Segment { frame: i, source })
             },
@@ -284,11 +284,11 @@ impl Clip<'_> {
     fn measured(
         &self,
         swept: &[Vec<f32>],
-        moving: Option<&[Vec<u8>]>,
+        dynamic: Option<&[Vec<u8>]>,
     ) -> Result<Vec<Measured>, DenseError> {
         self.each("comparing depth", |i| {
-            let mut measured = static_depth::measure(self.shots, swept, moving, i);
-            self.mono.impose(i, &mut measured, of(moving, i));
+            let mut measured = static_depth::measure(self.shots, swept, dynamic, i);
+            self.mono.impose(i, &mut measured, of(dynamic, i));
             measured
         })
     }
@@ -297,12 +297,12 @@ impl Clip<'_> {
     fn filled(
         &self,
         measured: &[Measured],
-        moving: Option<&[Vec<u8>]>,
+        dynamic: Option<&[Vec<u8>]>,
     ) -> Result<Vec<Vec<f32>>, DenseError> {
         self.each("filling depth", |i| {
             if self.parallax {
-                let measured = self.mono.with_prior(i, &measured[i], of(moving, i));
-                self.fill(i, &measured, of(moving, i))
+                let measured = self.mono.with_prior(i, &measured[i], of(dynamic, i));
+                self.fill(i, &measured, of(dynamic, i))
             } else {
                 self.mono
                     .without_parallax(i, layers::sphere(&self.clues.cameras[i]))
@@ -310,15 +310,15 @@ impl Clip<'_> {
         })
     }
 
-    fn fill(&self, i: usize, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
-        static_depth::fill(&self.shots[i], &self.smoother(i), measured, moving)
+    fn fill(&self, i: usize, measured: &Measured, dynamic: Option<&[u8]>) -> Vec<f32> {
+        static_depth::fill(&self.shots[i], &self.smoother(i), measured, dynamic)
     }
 
     /// Everything that may be dynamic, given masks that may be a little too narrow.
-    fn grown(&self, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
+    fn grown(&self, dynamic: &[Vec<u8>]) -> Result<Masks, DenseError> {
         self.each("growing masks", |i| {
             dilated(
-                &moving[i],
+                &dynamic[i],
                 self.width,
                 self.height,
                 background_model::GUARD_PX,
@@ -326,11 +326,11 @@ impl Clip<'_> {
         })
     }
 
-    /// `moving` with the outlines of the images, by what the other frames show behind it:
+    /// `dynamic` with the outlines of the images, by what the other frames show behind it:
     /// `background` is the static disparity, `near` what may be dynamic.
     fn sharpened(
         &self,
-        moving: &[Vec<u8>],
+        dynamic: &[Vec<u8>],
         near: &[Vec<u8>],
         background: &[Vec<f32>],
     ) -> Result<Masks, DenseError> {
@@ -345,18 +345,18 @@ impl Clip<'_> {
             near,
         };
         self.each("sharpening masks", |i| {
-            background_model::sharpen(&scene, i, &moving[i], &self.smoother(i))
+            background_model::sharpen(&scene, i, &dynamic[i], &self.smoother(i))
         })
     }
 }
 
-/// Nothing is measured in `moving` (above 0).
-fn distrust(measured: &mut Measured, moving: &[u8]) {
+/// Nothing is measured in `dynamic` (above 0).
+fn distrust(measured: &mut Measured, dynamic: &[u8]) {
     for (c, _) in measured
         .confidence
         .iter_mut()
-        .zip(moving)
-        .filter(|(_, moving)| **moving > 0)
+        .zip(dynamic)
+        .filter(|(_, dynamic)| **dynamic > 0)
     {
         *c = 0.0;
     }

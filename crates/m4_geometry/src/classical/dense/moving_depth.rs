@@ -31,9 +31,9 @@ pub(super) const HIDDEN_QUANTILE: f64 = 0.98;
 pub(super) fn place(clip: &Clip<'_>) -> Vec<Vec<f32>> {
     // Both readings are lower bounds of disparity, exact only while a part touches the scene: along
     // time the greater ones say more, so means are taken of a power.
-    let touched: Vec<Vec<f32>> = (clip.moving.par_iter().zip(clip.disparity))
-        .map(|(moving, background)| {
-            let mut disparity = touch(clip.width, clip.height, moving, background);
+    let touched: Vec<Vec<f32>> = (clip.dynamic.par_iter().zip(clip.disparity))
+        .map(|(dynamic, background)| {
+            let mut disparity = touch(clip.width, clip.height, dynamic, background);
             for d in &mut disparity {
                 *d = d.powf(POWER);
             }
@@ -42,8 +42,8 @@ pub(super) fn place(clip: &Clip<'_>) -> Vec<Vec<f32>> {
         .collect();
     // Along parts alone.
     let trust = |step: &temporal::Step| {
-        let inside = clip.moving[step.frame][step.pixel] > 0
-            && clip.moving[step.other_frame][step.other_pixel] > 0;
+        let inside = clip.dynamic[step.frame][step.pixel] > 0
+            && clip.dynamic[step.other_frame][step.other_pixel] > 0;
         if inside && step.round_trip_px < ROUND_TRIP_PX {
             1.0
         } else {
@@ -55,9 +55,9 @@ pub(super) fn place(clip: &Clip<'_>) -> Vec<Vec<f32>> {
     let disparity = |(i, means): (usize, Vec<f32>)| {
         let here = means
             .into_iter()
-            .zip(&clip.moving[i])
+            .zip(&clip.dynamic[i])
             .zip(&clip.disparity[i]);
-        here.map(|((mean, moving), background)| match moving {
+        here.map(|((mean, dynamic), background)| match dynamic {
             0 => *background,
             _ => mean.max(0.0).powf(1.0 / POWER).max(*background),
         })
@@ -68,11 +68,11 @@ pub(super) fn place(clip: &Clip<'_>) -> Vec<Vec<f32>> {
 
 /// Disparity of each part: constant, in front of what it hides, and that of the ground under it.
 ///
-/// `background` is the static disparity with moving parts filled from their surroundings, so its
+/// `background` is the static disparity with dynamic parts filled from their surroundings, so its
 /// value at the bottom of a part is that of the ground on which the part stands.
-fn touch(width: usize, height: usize, moving: &[u8], background: &[f32]) -> Vec<f32> {
+fn touch(width: usize, height: usize, dynamic: &[u8], background: &[f32]) -> Vec<f32> {
     let mut out = background.to_vec();
-    for pixels in Components::of(width, height, moving).pixels {
+    for pixels in Components::of(width, height, dynamic).pixels {
         let row = |i: u32| i as usize / width;
         // In order of rows, so the first and last pixels give the extent.
         let (top, bottom) = (row(pixels[0]), row(pixels[pixels.len() - 1]));
@@ -122,13 +122,13 @@ mod tests {
             .collect()
     }
 
-    fn place(moving: &[Vec<u8>], disparity: &[Vec<f32>], flows: &[FlowPair]) -> Vec<Vec<f32>> {
+    fn place(dynamic: &[Vec<u8>], disparity: &[Vec<f32>], flows: &[FlowPair]) -> Vec<Vec<f32>> {
         super::place(&Clip {
             width: W,
             height: H,
             rate: FrameRate::FILM,
             cameras: &[],
-            moving,
+            dynamic,
             disparity,
             flows,
         })
@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn depth_jumps_are_smoothed_in_time_in_front_of_the_background() {
-        let moving: Vec<Vec<u8>> = (0..5).map(|k| block(4 + 2 * k)).collect();
+        let dynamic: Vec<Vec<u8>> = (0..5).map(|k| block(4 + 2 * k)).collect();
         let mut background = vec![ground(); 5];
         for d in &mut background[2] {
             *d *= 1.5;
@@ -157,7 +157,7 @@ mod tests {
         let flows: Vec<FlowPair> = (0..4)
             .map(|_| FlowPair::exact(flow(2.0), flow(-2.0)))
             .collect();
-        let out = place(&moving, &background, &flows);
+        let out = place(&dynamic, &background, &flows);
         let at = |k: usize| out[k][6 * W + 6 + 2 * k];
         let (calm, jump) = (at(0), at(2));
         assert!(jump / calm < 1.35 && jump >= calm, "{calm} {jump}");

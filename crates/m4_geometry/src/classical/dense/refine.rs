@@ -36,7 +36,7 @@ pub(super) struct Estimates<'a> {
     /// Of every pixel.
     pub disparity: &'a [Vec<f32>],
     /// Above 0 in dynamic regions, which are left as they are.
-    pub moving: &'a [Vec<u8>],
+    pub dynamic: &'a [Vec<u8>],
 }
 
 impl Estimates<'_> {
@@ -83,8 +83,8 @@ impl Estimates<'_> {
         let sample = |p: usize| {
             let at = pair.project((p % w) as f32, (p / w) as f32, disparity[p]);
             let q = pixel_at(w, h, at.x, at.y).filter(|_| at.disparity > 0.0)?;
-            if self.moving[i][p] > 0
-                || self.moving[j][q] > 0
+            if self.dynamic[i][p] > 0
+                || self.dynamic[j][q] > 0
                 || (self.disparity[j][q] - at.disparity).abs() > hidden
             {
                 return None;
@@ -177,13 +177,13 @@ mod tests {
                 .enumerate()
                 .for_each(|(p, grey)| *grey += 6.0 * i as f32 + 0.3 * (p % w) as f32);
         }
-        let moving = vec![vec![0u8; w * h]; 7];
+        let dynamic = vec![vec![0u8; w * h]; 7];
         let disparity = vec![vec![1.02 * truth; w * h]; 7];
         let clip = Estimates {
             shots: &shots,
             cameras: &cameras,
             disparity: &disparity,
-            moving: &moving,
+            dynamic: &dynamic,
         };
         let actual = clip.refined(&[vec![2, 4], vec![1, 5]], 3);
         let inside =
@@ -192,9 +192,9 @@ mod tests {
         let mean = errors.iter().sum::<f32>() / errors.len() as f32;
         assert!(mean < 0.002, "{mean} of 0.02 is left");
         // dynamic pixels stay as they are
-        let moving = vec![vec![255u8; w * h]; 7];
+        let dynamic = vec![vec![255u8; w * h]; 7];
         let clip = Estimates {
-            moving: &moving,
+            dynamic: &dynamic,
             ..clip
         };
         assert_eq!(clip.refined(&[vec![2, 4]], 3), disparity[3]);
@@ -206,7 +206,7 @@ mod tests {
         let (w, h, truth) = (60, 40, 2.0_f32);
         let (mut shots, mut cameras) = Shot::of_wall(2, (w, h), truth);
         cameras[1].c2w.translation.z = 1.0 / 12.0;
-        let moving = vec![vec![0u8; w * h]; 2];
+        let dynamic = vec![vec![0u8; w * h]; 2];
         // the wall in the two images, and how far pixels beside the line go
         let place = |i: usize, x: usize| {
             (x as f32 - 29.5) * if i == 0 { 1.0 } else { 5.0 / 6.0 } + 2.0 * i as f32
@@ -222,7 +222,7 @@ mod tests {
                 shots,
                 cameras: &cameras,
                 disparity: &disparity,
-                moving: &moving,
+                dynamic: &dynamic,
             };
             let actual = clip.refined(&[vec![1], vec![1]], 0);
             let beside = (0..w * h).filter(|p| {

@@ -51,7 +51,7 @@ pub(super) fn sweep(shots: &[Shot], i: usize) -> Vec<f32> {
 pub(super) fn measure(
     shots: &[Shot],
     swept: &[Vec<f32>],
-    moving: Option<&[Vec<u8>]>,
+    dynamic: Option<&[Vec<u8>]>,
     i: usize,
 ) -> Measured {
     let shot = &shots[i];
@@ -64,7 +64,7 @@ pub(super) fn measure(
     if needed == 0 {
         return out;
     }
-    for p in (0..w * h).filter(|&p| moving.is_none_or(|m| m[i][p] == 0)) {
+    for p in (0..w * h).filter(|&p| dynamic.is_none_or(|m| m[i][p] == 0)) {
         let d = swept[i][p];
         let (mut sum, mut agree) = (d, 0usize);
         for (j, pair) in &shot.partners {
@@ -75,7 +75,7 @@ pub(super) fn measure(
             };
             let difference = swept[*j][q] - target.disparity;
             let tolerance = AGREE_STEPS * shots[*j].range.step;
-            if difference.abs() <= tolerance && moving.is_none_or(|m| m[*j][q] == 0) {
+            if difference.abs() <= tolerance && dynamic.is_none_or(|m| m[*j][q] == 0) {
                 sum += d + difference * d / target.disparity;
                 agree += 1;
             }
@@ -130,16 +130,16 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
 /// A disparity for every pixel: measurements and sparse points where there are any, and between
 /// them what the image's edges let through.
 ///
-/// Points within `moving` (above 0) are not used: nothing there is static.
+/// Points within `dynamic` (above 0) are not used: nothing there is static.
 pub(super) fn fill(
     shot: &Shot,
     smoother: &Smoother,
     measured: &Measured,
-    moving: Option<&[u8]>,
+    dynamic: Option<&[u8]>,
 ) -> Vec<f32> {
     /// Weight of the surroundings against a pixel on which all partners agree.
     const SURROUNDINGS: f32 = 0.15;
-    let (mut values, mut weight) = with_points(shot, measured, moving);
+    let (mut values, mut weight) = with_points(shot, measured, dynamic);
     // Where nothing at all was measured, the middle of the range is as good as any.
     let anything = 1e-6;
     let middle = shot.range.at(0.3 * shot.range.count as f32);
@@ -166,7 +166,7 @@ pub(super) fn fill_planes(
     shot: &Shot,
     mut smoother: Smoother,
     measured: &Measured,
-    moving: Option<&[u8]>,
+    dynamic: Option<&[u8]>,
 ) -> Vec<f32> {
     /// Weight of the surroundings against a pixel of full confidence.
     const SURROUNDINGS: f32 = 0.02;
@@ -175,7 +175,7 @@ pub(super) fn fill_planes(
     /// Strength of the smoothing of what differs from the planes, pixels squared: more than where
     /// [`fill`] smooths depth itself, since slopes stay.
     const REST_LAMBDA: f32 = 16.0;
-    let (mut values, mut weight) = with_points(shot, measured, moving);
+    let (mut values, mut weight) = with_points(shot, measured, dynamic);
     let (least, most) = (
         0.5 * shot.range.least,
         2.0 * shot.range.at(shot.range.count as f32),
@@ -199,13 +199,13 @@ pub(super) fn fill_planes(
         .collect()
 }
 
-/// Measurements with the sparse points outside of `moving`, and the weight of each.
-fn with_points(shot: &Shot, measured: &Measured, moving: Option<&[u8]>) -> (Vec<f32>, Vec<f32>) {
+/// Measurements with the sparse points outside of `dynamic`, and the weight of each.
+fn with_points(shot: &Shot, measured: &Measured, dynamic: Option<&[u8]>) -> (Vec<f32>, Vec<f32>) {
     let (mut values, mut weight) = (measured.disparity.clone(), measured.confidence.clone());
     for point in shot
         .points
         .iter()
-        .filter(|p| moving.is_none_or(|m| m[p.pixel] == 0))
+        .filter(|p| dynamic.is_none_or(|m| m[p.pixel] == 0))
     {
         let total = weight[point.pixel] + POINT_WEIGHT;
         let sum = values[point.pixel] * weight[point.pixel] + point.disparity * POINT_WEIGHT;

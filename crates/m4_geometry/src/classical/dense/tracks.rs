@@ -1,7 +1,7 @@
-//! Points of moving parts followed along the flow and lifted with their depth.
+//! Points of dynamic parts followed along the flow and lifted with their depth.
 //!
 //! ```text
-//! grid of moving pixels without a track -> chain there and back in time -> depth of each place -> world
+//! grid of dynamic pixels without a track -> chain forward and backward -> depth of each place -> world
 //!                                    cut at jumps, smoothed -> carried on where hidden (`fill`) -> Tracks
 //! ```
 //!
@@ -33,7 +33,7 @@ pub(super) fn tracks(
     if pieces.is_empty() {
         return Ok(None);
     }
-    let mut board = board_of(clip.moving.len(), &pieces);
+    let mut board = board_of(clip.dynamic.len(), &pieces);
     let surface = |i: usize| {
         let depth = |x: usize, y: usize| 1.0 / clip.disparity[i][y * clip.width + x];
         Ok(Plane::from_fn(clip.width, clip.height, depth))
@@ -56,8 +56,8 @@ pub(super) fn tracks(
 /// What is kept of the clip.
 fn strip(clip: &Clip<'_>) -> Strip {
     let (w, h) = (clip.width, clip.height);
-    let moves = |frame: usize, i: usize| clip.moving[frame][i] > 0;
-    let moving =
+    let moves = |frame: usize, i: usize| clip.dynamic[frame][i] > 0;
+    let dynamic =
         |frame: usize| Sparse::new(w, h, |i| moves(frame, i).then(|| clip.disparity[frame][i]));
     let forward = |(t, pair): (usize, &FlowPair)| {
         sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(t, i))
@@ -71,7 +71,7 @@ fn strip(clip: &Clip<'_>) -> Strip {
         width: w,
         height: h,
         cameras: clip.cameras.to_vec(),
-        moving: (0..clip.moving.len()).map(moving).collect(),
+        dynamic: (0..clip.dynamic.len()).map(dynamic).collect(),
         forward: clip.flows.iter().enumerate().map(forward).collect(),
         backward: clip.flows.iter().enumerate().map(backward).collect(),
     }
@@ -107,7 +107,7 @@ mod tests {
     fn clip_data(noise: f64) -> ClipData {
         let mut rng = CounterRng::new(7, 1, 0);
         let mut cameras = Vec::new();
-        let (mut moving, mut disparity) = (Vec::new(), Vec::new());
+        let (mut dynamic, mut disparity) = (Vec::new(), Vec::new());
         for t in 0..FRAMES {
             let mut c2w = Se3::identity();
             c2w.translation = Vector3::new(0.02 * t as f64, 0.01 * t as f64, 0.0);
@@ -121,7 +121,7 @@ mod tests {
                 let (x, y) = (p.x - VELOCITY[0] * t as f64, p.y - VELOCITY[1] * t as f64);
                 (x + 0.1).abs() < 0.35 && y.abs() < 0.35
             };
-            moving.push((0..W * H).map(|i| if on(i) { 255 } else { 0 }).collect());
+            dynamic.push((0..W * H).map(|i| if on(i) { 255 } else { 0 }).collect());
             let d = |i: usize| {
                 if on(i) {
                     (factor / depth(t)) as f32
@@ -149,7 +149,7 @@ mod tests {
         ClipData {
             size: (W, H),
             cameras,
-            moving,
+            dynamic,
             disparity,
             flows,
         }
@@ -229,7 +229,7 @@ mod tests {
             );
         }
         let mut masked = clip_data(0.0);
-        masked.moving[5..9]
+        masked.dynamic[5..9]
             .iter_mut()
             .flatten()
             .for_each(|m| *m = 0);
@@ -242,7 +242,7 @@ mod tests {
     #[test]
     fn empty_masks_have_no_tracks_and_dense_ones_are_thinned() {
         let mut still = clip_data(0.0);
-        still.moving.iter_mut().for_each(|m| m.fill(0));
+        still.dynamic.iter_mut().for_each(|m| m.fill(0));
         let grid = QueryGrid {
             most: 10,
             ..QueryGrid::chains()

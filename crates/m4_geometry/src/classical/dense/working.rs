@@ -25,7 +25,7 @@ pub(super) struct Clip<'a> {
     pub rate: FrameRate,
     pub cameras: &'a [Camera],
     /// Above 0 in dynamic regions.
-    pub moving: &'a [Vec<u8>],
+    pub dynamic: &'a [Vec<u8>],
     /// Disparity of static regions, continued behind dynamic ones; for tracks, of everything.
     pub disparity: &'a [Vec<f32>],
     /// Between neighbouring frames.
@@ -37,7 +37,7 @@ pub(super) struct Clip<'a> {
 pub(super) struct ClipData {
     pub size: (usize, usize),
     pub cameras: Vec<Camera>,
-    pub moving: Vec<Vec<u8>>,
+    pub dynamic: Vec<Vec<u8>>,
     pub disparity: Vec<Vec<f32>>,
     pub flows: Vec<FlowPair>,
 }
@@ -48,7 +48,7 @@ impl ClipData {
         let (width, height) = self.size;
         let Self {
             cameras,
-            moving,
+            dynamic,
             disparity,
             flows,
             ..
@@ -58,7 +58,7 @@ impl ClipData {
             height,
             rate: FrameRate::FILM,
             cameras,
-            moving,
+            dynamic,
             disparity,
             flows,
         }

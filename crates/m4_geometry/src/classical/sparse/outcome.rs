@@ -39,11 +39,11 @@ impl Clip<'_> {
                 100.0 * sigma.min(9.99)
             ));
         }
-        let [rest, moving] =
+        let [n_static, n_dynamic] =
             [Motion::Static, Motion::Dynamic].map(|m| motions.iter().filter(|x| **x == m).count());
-        if moving > rest {
+        if n_dynamic > n_static {
             self.warn(format!(
-                "more tracks are dynamic ({moving}) than static ({rest}): the poses may follow a moving object"
+                "more tracks are dynamic ({n_dynamic}) than static ({n_static}): the poses may follow a moving object"
             ));
         }
         let points = map.points.iter().flatten().count();

@@ -63,7 +63,7 @@ impl Scene {
     /// Tracks and, for each, whether its point moves.
     fn tracks(&self) -> (Vec<RawTrack>, Vec<bool>) {
         let mut rng = CounterRng::new(21, 0, 0);
-        let (mut tracks, mut moving) = (Vec::new(), Vec::new());
+        let (mut tracks, mut is_dynamic) = (Vec::new(), Vec::new());
         for i in 0..self.points {
             let birth = rng.below(self.frames + 12).saturating_sub(12);
             let life = 6 + rng.below(self.frames);
@@ -93,10 +93,10 @@ impl Scene {
             }
             if track.seen.len() >= 2 {
                 tracks.push(track);
-                moving.push(moves);
+                is_dynamic.push(moves);
             }
         }
-        (tracks, moving)
+        (tracks, is_dynamic)
     }
 }
 
@@ -119,9 +119,9 @@ fn solve(
 
 /// A reconstruction of the scene's tracks, of which all is unknown, and which of them move.
 fn solved(scene: &Scene) -> (SparseReconstruction, Vec<bool>) {
-    let (tracks, moving) = scene.tracks();
+    let (tracks, is_dynamic) = scene.tracks();
     let reconstruction = solve(tracks, scene.frames, &SparseConfig::default());
-    (reconstruction.expect("a reconstruction"), moving)
+    (reconstruction.expect("a reconstruction"), is_dynamic)
 }
 
 #[test]
@@ -146,19 +146,19 @@ fn it_stops_when_asked() {
 /// Tracks with this motion whose points move, or do not.
 fn judged(
     reconstruction: &SparseReconstruction,
-    moving: &[bool],
+    is_dynamic: &[bool],
     motion: Motion,
     moves: bool,
 ) -> usize {
-    let pairs = reconstruction.tracks.iter().zip(moving);
+    let pairs = reconstruction.tracks.iter().zip(is_dynamic);
     pairs
         .filter(|(t, m)| t.motion == motion && **m == moves)
         .count()
 }
 
-fn misjudged(reconstruction: &SparseReconstruction, moving: &[bool]) -> usize {
-    judged(reconstruction, moving, Motion::Static, true)
-        + judged(reconstruction, moving, Motion::Dynamic, false)
+fn misjudged(reconstruction: &SparseReconstruction, is_dynamic: &[bool]) -> usize {
+    judged(reconstruction, is_dynamic, Motion::Static, true)
+        + judged(reconstruction, is_dynamic, Motion::Dynamic, false)
 }
 
 /// Trajectory error over path length after alignment, and the greatest rotation error in radians
@@ -185,7 +185,7 @@ fn errors(reconstruction: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
 
 #[test]
 fn a_room_with_a_fifth_of_moving_points() {
-    let (reconstruction, moving) = solved(&ROOM);
+    let (reconstruction, is_dynamic) = solved(&ROOM);
     let (trajectory, turn) = errors(&reconstruction, &ROOM);
     let focal = reconstruction.cameras[0].intrinsics.fx;
     assert_eq!(reconstruction.camera_motion, CameraMotion::Parallax);
@@ -198,7 +198,7 @@ fn a_room_with_a_fifth_of_moving_points() {
         reconstruction.warnings
     );
     let judged =
-        |motion: Motion, moves: bool| judged(&reconstruction, &moving, motion, moves) as f64;
+        |motion: Motion, moves: bool| judged(&reconstruction, &is_dynamic, motion, moves) as f64;
     let (hit, miss) = (judged(Motion::Dynamic, true), judged(Motion::Static, true));
     assert!(
         hit > 0.85 * (hit + miss),
@@ -216,7 +216,7 @@ fn a_room_with_a_fifth_of_moving_points() {
     );
     // The world is the first camera, and the median depth is 1.
     assert!((reconstruction.cameras[0].c2w.matrix() - Se3::identity().matrix()).norm() < 1e-9);
-    for (t, moves) in reconstruction.tracks.iter().zip(&moving) {
+    for (t, moves) in reconstruction.tracks.iter().zip(&is_dynamic) {
         if let (Some(x), false) = (t.point, moves) {
             let (p, z) = reconstruction.cameras[t.first_frame].project(&x);
             let o = t.observations[0];
@@ -304,7 +304,7 @@ fn turning_camera_gives_rotations_and_is_reported() {
         moving: 0.1,
         ..ROOM
     };
-    let (reconstruction, moving) = solved(&scene);
+    let (reconstruction, is_dynamic) = solved(&scene);
     assert_eq!(reconstruction.camera_motion, CameraMotion::RotationOnly);
     let focal = reconstruction.cameras[0].intrinsics.fx;
     assert!((focal / scene.focal - 1.0).abs() < 0.15, "focal {focal}");
@@ -326,7 +326,7 @@ fn turning_camera_gives_rotations_and_is_reported() {
         "{:?}",
         reconstruction.warnings
     );
-    assert!(judged(&reconstruction, &moving, Motion::Dynamic, false) < 20);
+    assert!(judged(&reconstruction, &is_dynamic, Motion::Dynamic, false) < 20);
 }
 
 #[test]
@@ -336,7 +336,7 @@ fn zoom_gives_rotations_and_intrinsics_per_frame() {
         zoom: 1.8,
         ..ROOM
     };
-    let (tracks, moving) = scene.tracks();
+    let (tracks, is_dynamic) = scene.tracks();
     let reconstruction = solve(tracks.clone(), scene.frames, &SparseConfig::default()).unwrap();
     assert_eq!(
         reconstruction.camera_motion,
@@ -370,7 +370,7 @@ fn zoom_gives_rotations_and_intrinsics_per_frame() {
             "{observation:?} {raw:?}"
         );
     }
-    assert!(misjudged(&reconstruction, &moving) * 10 < moving.len());
+    assert!(misjudged(&reconstruction, &is_dynamic) * 10 < is_dynamic.len());
     // A given field of view is that of the first frame.
     let told = SparseConfig {
         focal_px: Some(520.0),
@@ -393,7 +393,7 @@ fn a_camera_on_a_tripod_gives_one_pose() {
         turn: 0.0,
         ..ROOM
     };
-    let (reconstruction, moving) = solved(&scene);
+    let (reconstruction, is_dynamic) = solved(&scene);
     assert_eq!(reconstruction.camera_motion, CameraMotion::Static);
     assert!(
         reconstruction
@@ -407,7 +407,7 @@ fn a_camera_on_a_tripod_gives_one_pose() {
         reconstruction.warnings
     );
     let dynamic =
-        [true, false].map(|moves| judged(&reconstruction, &moving, Motion::Dynamic, moves));
+        [true, false].map(|moves| judged(&reconstruction, &is_dynamic, Motion::Dynamic, moves));
     assert!(dynamic[0] > 60 && dynamic[1] == 0, "{dynamic:?}");
 }
 

@@ -56,7 +56,7 @@ pub(super) fn place(clip: &Clip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
     let front = ranks.iter().max().map_or(0, |r| r + 1);
     let occluders = Occluders::find(clip, shots);
     let frame = |i: usize| {
-        let layer = dynamic_layers(w, h, &clip.moving[i], &labels[i], &ranks);
+        let layer = dynamic_layers(w, h, &clip.dynamic[i], &labels[i], &ranks);
         let occludes = occluders.in_frame(&clip.cameras[i], w, h);
         let layer = |p: usize| {
             if layer[p] == 0 && occludes[p] {
@@ -69,7 +69,7 @@ pub(super) fn place(clip: &Clip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
             .map(|p| clip.disparity[i][p] * nearer(layer(p)))
             .collect()
     };
-    (0..clip.moving.len()).into_par_iter().map(frame).collect()
+    (0..clip.dynamic.len()).into_par_iter().map(frame).collect()
 }
 
 /// Times the background's, the disparity of a layer: 0 for the background, from 1 on in front of
@@ -83,7 +83,7 @@ fn nearer(layer: usize) -> f32 {
 
 /// One plus the tracklet of every pixel of every frame, 0 for none.
 fn labels(clip: &Clip<'_>, tracklets: &[Tracklet]) -> Vec<Vec<u32>> {
-    let mut out = vec![vec![0u32; clip.width * clip.height]; clip.moving.len()];
+    let mut out = vec![vec![0u32; clip.width * clip.height]; clip.dynamic.len()];
     for (k, tracklet) in tracklets.iter().enumerate() {
         for (frame, pixels) in out[tracklet.first..].iter_mut().zip(&tracklet.parts) {
             for &p in pixels {
@@ -100,12 +100,12 @@ fn labels(clip: &Clip<'_>, tracklets: &[Tracklet]) -> Vec<Vec<u32>> {
 fn dynamic_layers(
     w: usize,
     h: usize,
-    moving: &[u8],
+    dynamic: &[u8],
     labels: &[u32],
     ranks: &[usize],
 ) -> Vec<usize> {
     let mut out = vec![0usize; w * h];
-    for pixels in Components::of(w, h, moving).pixels {
+    for pixels in Components::of(w, h, dynamic).pixels {
         let rank = |p: u32| {
             (labels[p as usize] as usize)
                 .checked_sub(1)
@@ -339,7 +339,7 @@ mod tests {
         let clip = ClipData {
             size: (W, H),
             cameras: vec![camera; FRAMES],
-            moving: (0..FRAMES)
+            dynamic: (0..FRAMES)
                 .map(|t| things(t).map(dynamic).collect())
                 .collect(),
             disparity: vec![sphere(&camera); FRAMES],

@@ -42,15 +42,15 @@ impl Occluders {
         let (cw, ch) = (camera.intrinsics.width, camera.intrinsics.height);
         let mut travel = vec![0.0f32; cw * ch];
         let mut covered = vec![false; cw * ch];
-        for (i, moving) in clip.moving.iter().enumerate() {
+        for (i, dynamic) in clip.dynamic.iter().enumerate() {
             let pair = Pair::new(&clip.cameras[i], &camera);
             let at = |p: usize| on_sphere(&pair, p, w, (cw, ch));
-            for p in (0..w * h).filter(|&p| moving[p] > 0) {
+            for p in (0..w * h).filter(|&p| dynamic[p] > 0) {
                 if let Some(q) = at(p) {
                     covered[q] = true;
                 }
             }
-            if i + 1 < clip.moving.len() {
+            if i + 1 < clip.dynamic.len() {
                 for (p, step) in crossings(clip, i) {
                     if let Some(q) = at(p) {
                         travel[q] += step;
@@ -124,7 +124,7 @@ fn on_sphere(pair: &Pair, p: usize, w: usize, (width, height): (usize, usize)) -
 /// what is inside the mask moves across the edge meanwhile, pixels.
 fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
     let (w, h) = (clip.width, clip.height);
-    let (now, next) = (&clip.moving[i], &clip.moving[i + 1]);
+    let (now, next) = (&clip.dynamic[i], &clip.dynamic[i + 1]);
     let flow = &clip.flows[i];
     let camera = Pair::new(&clip.cameras[i], &clip.cameras[i + 1]);
     let mut out = Vec::new();

@@ -86,10 +86,10 @@ impl Mono {
     }
 
     /// Takes metric depth for measured, but where something moves (above 0).
-    pub fn impose(&self, i: usize, measured: &mut Measured, moving: Option<&[u8]>) {
+    pub fn impose(&self, i: usize, measured: &mut Measured, dynamic: Option<&[u8]>) {
         for (p, d) in self
             .metric(i)
-            .filter(|(p, _)| moving.is_none_or(|m| m[*p] == 0))
+            .filter(|(p, _)| dynamic.is_none_or(|m| m[*p] == 0))
         {
             (measured.disparity[p], measured.confidence[p]) = (d, 1.0);
         }
@@ -109,12 +109,12 @@ impl Mono {
         i: usize,
         disparity: &[f32],
         confidence: &[f32],
-        moving: Option<&[u8]>,
+        dynamic: Option<&[u8]>,
     ) -> Option<Vec<f32>> {
         let relative = self.relative(i)?;
         let sure = |p: &usize| {
             confidence[*p] >= SURE
-                && moving.is_none_or(|m| m[*p] == 0)
+                && dynamic.is_none_or(|m| m[*p] == 0)
                 && relative[*p].is_finite()
                 && disparity[*p] > 0.0
         };
@@ -130,17 +130,17 @@ impl Mono {
     }
 
     /// Fills unmeasured static pixels with the aligned prior, at low weight.
-    pub fn with_prior(&self, i: usize, measured: &Measured, moving: Option<&[u8]>) -> Measured {
+    pub fn with_prior(&self, i: usize, measured: &Measured, dynamic: Option<&[u8]>) -> Measured {
         let mut out = measured.clone();
         let aligned = self
-            .aligned(i, &measured.disparity, &measured.confidence, moving)
+            .aligned(i, &measured.disparity, &measured.confidence, dynamic)
             .unwrap_or_default();
         for (p, d) in aligned
             .into_iter()
             .enumerate()
             .filter(|(_, d)| d.is_finite())
         {
-            if out.confidence[p] == 0.0 && moving.is_none_or(|m| m[p] == 0) {
+            if out.confidence[p] == 0.0 && dynamic.is_none_or(|m| m[p] == 0) {
                 (out.disparity[p], out.confidence[p]) = (d, PRIOR_WEIGHT);
             }
         }
@@ -148,23 +148,23 @@ impl Mono {
     }
 
     /// Gives dynamic regions their own depth, in front of the background.
-    pub fn place_moving(
+    pub fn place_dynamic(
         &self,
         i: usize,
         measured: &Measured,
         background: &[f32],
-        moving: &[u8],
+        dynamic: &[u8],
         disparity: &mut [f32],
     ) {
         let aligned = self
-            .aligned(i, background, &measured.confidence, Some(moving))
+            .aligned(i, background, &measured.confidence, Some(dynamic))
             .unwrap_or_default();
         for (p, d) in aligned
             .into_iter()
             .enumerate()
             .filter(|(_, d)| d.is_finite())
         {
-            if moving[p] > 0 {
+            if dynamic[p] > 0 {
                 disparity[p] = d.max(background[p]);
             }
         }

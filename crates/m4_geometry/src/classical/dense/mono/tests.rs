@@ -40,7 +40,7 @@ fn read(kind: MonoKind, maps: &[Plane<f32>]) -> Mono {
     }
 }
 
-fn moving() -> Vec<u8> {
+fn dynamic() -> Vec<u8> {
     (0..W * H).map(|p| u8::from(moves(p))).collect()
 }
 
@@ -63,10 +63,10 @@ fn measured() -> Measured {
 #[test]
 fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
     for kind in [MonoKind::UpToScale, MonoKind::AffineDisparity] {
-        let (mono, measured, moving) = (mono(kind), measured(), moving());
+        let (mono, measured, dynamic) = (mono(kind), measured(), dynamic());
         for i in 0..2 {
             let aligned = mono
-                .aligned(i, &measured.disparity, &measured.confidence, Some(&moving))
+                .aligned(i, &measured.disparity, &measured.confidence, Some(&dynamic))
                 .unwrap();
             for (p, d) in aligned.iter().enumerate() {
                 assert_eq!(d.is_nan(), p % W == 3, "{kind:?} {p}");
@@ -76,7 +76,7 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
                 );
             }
             // Below, where nothing was measured, it stands; above, measurements do.
-            let with = mono.with_prior(i, &measured, Some(&moving));
+            let with = mono.with_prior(i, &measured, Some(&dynamic));
             let (below, above) = (25 * W + 7, 10 * W + 7);
             assert!((with.disparity[below] / disparity(below) - 1.0).abs() < 0.02);
             assert!(with.confidence[below] > 0.0 && with.confidence[25 * W + 3] == 0.0);
@@ -84,14 +84,14 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
             // Dynamic regions get their own depth; the rest stays.
             let background = vec![0.3; W * H];
             let mut out = background.clone();
-            mono.place_moving(
+            mono.place_dynamic(
                 i,
                 &Measured {
                     confidence: vec![0.0; W * H],
                     ..measured.clone()
                 },
                 &background,
-                &moving,
+                &dynamic,
                 &mut out,
             );
             assert_eq!(out, background, "nothing to align to");
@@ -99,7 +99,7 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
                 .map(|p| if moves(p) { 0.2 } else { disparity(p) })
                 .collect();
             let mut out = background.clone();
-            mono.place_moving(i, &measured, &background, &moving, &mut out);
+            mono.place_dynamic(i, &measured, &background, &dynamic, &mut out);
             for (p, d) in out.iter().enumerate() {
                 assert!((d / disparity(p) - 1.0).abs() < 0.02, "{kind:?} {p}: {d}");
             }
@@ -109,8 +109,8 @@ fn relative_depth_is_aligned_within_two_per_cent_whatever_its_kind() {
 
 #[test]
 fn metric_depth_is_taken_as_it_is() {
-    let (mono, mut measured, moving) = (mono(MonoKind::Metric(3.0)), measured(), moving());
-    mono.impose(1, &mut measured, Some(&moving));
+    let (mono, mut measured, dynamic) = (mono(MonoKind::Metric(3.0)), measured(), dynamic());
+    mono.impose(1, &mut measured, Some(&dynamic));
     let mut out = vec![0.1; W * H];
     mono.overrule(1, &mut out);
     for p in 0..W * H {

@@ -173,7 +173,7 @@ fn outline(
     own: &mut [bool],
 ) -> (Vector2<f64>, bool) {
     let (w, h) = (clip.width, clip.height);
-    let (pixels, moving) = (&tracklet.parts[k], &clip.moving[tracklet.first + k]);
+    let (pixels, dynamic) = (&tracklet.parts[k], &clip.dynamic[tracklet.first + k]);
     for &p in pixels {
         own[p as usize] = true;
     }
@@ -189,7 +189,7 @@ fn outline(
         }
         let next = [p - 1, p + 1, p - w, p + w];
         edge += usize::from(next.iter().any(|&n| !own[n]));
-        shared += usize::from(next.iter().any(|&n| !own[n] && moving[n] > 0));
+        shared += usize::from(next.iter().any(|&n| !own[n] && dynamic[n] > 0));
     }
     for &p in pixels {
         own[p as usize] = false;

@@ -105,7 +105,7 @@ fn samples(clip: &Clip<'_>) -> Vec<(Vector3<f64>, f64)> {
             for x in (PIXELS / 2..clip.width).step_by(PIXELS) {
                 let p = y * clip.width + x;
                 let z = 1.0 / f64::from(clip.disparity[t][p]);
-                if clip.moving[t][p] == 0 && z.is_finite() {
+                if clip.dynamic[t][p] == 0 && z.is_finite() {
                     out.push((clip.cameras[t].unproject(x as f64, y as f64, z), z));
                 }
             }

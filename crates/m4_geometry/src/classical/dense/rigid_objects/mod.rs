@@ -1,6 +1,6 @@
-//! Depth of dynamic regions, part by part: each moving part is taken for a rigid body, whose motion
-//! relative to the camera reveals its shape and how its distance changes, but not its size; its
-//! size follows from what it hides, where it touches the ground, and how it moves.
+//! Depth of dynamic regions, part by part. Each part is taken for a rigid body: its motion relative
+//! to the camera reveals its shape and how its distance changes, but not its size. Its size follows
+//! from what it hides, where it touches the ground, and how it moves.
 //!
 //! ```text
 //! masks, flow -> tracklet: one part through time; objects that touch in the image are separated by other frames
@@ -52,7 +52,7 @@ fn shortest(clip: &Clip<'_>) -> usize {
 /// A part that was adjusted, and what its frames say about its scale.
 type Body<'a> = (&'a Tracklet, rigid::Shape, scale::Reading);
 
-/// Replaces the disparity of moving parts, `[height][width]` by frame, where a part could be
+/// Replaces the disparity of dynamic parts, `[height][width]` by frame, where a part could be
 /// followed long enough to be understood as a rigid object; what flies takes its distance from how
 /// it falls, where there is a ground.
 pub(super) fn place<'s>(
@@ -289,7 +289,7 @@ mod tests {
         let truth = map(&|t, p| part(t, p).unwrap_or_else(|| behind(t, p)));
         let clip = ClipData {
             size: (W, H),
-            moving: (0..FRAMES)
+            dynamic: (0..FRAMES)
                 .map(|t| (0..W * H).map(|p| moves(t, p)).collect())
                 .collect(),
             disparity: map(&|t, p| behind(t, p)),
@@ -314,8 +314,8 @@ mod tests {
     ) -> (f32, f32) {
         let mut disparity = truth.clone();
         for (t, disparity) in disparity.iter_mut().enumerate() {
-            for (d, moving) in disparity.iter_mut().zip(&world.moving[t]) {
-                if *moving > 0 {
+            for (d, dynamic) in disparity.iter_mut().zip(&world.dynamic[t]) {
+                if *dynamic > 0 {
                     *d *= guess(t);
                 }
             }
@@ -323,7 +323,7 @@ mod tests {
         let error = |disparity: &[Vec<f32>]| {
             let (mut sum, mut count) = (0.0, 0.0);
             for (t, disparity) in disparity.iter().enumerate() {
-                for p in (0..W * H).filter(|&p| world.moving[t][p] > 0) {
+                for p in (0..W * H).filter(|&p| world.dynamic[t][p] > 0) {
                     sum += (truth[t][p] / disparity[p] - 1.0).abs();
                     count += 1.0;
                 }
@@ -370,8 +370,8 @@ mod tests {
         });
         // a post at depth 1 hides what is left of the disc, so the background that is filled in
         // behind its left side is as near
-        for (disparity, moving) in clip.disparity.iter_mut().zip(&clip.moving) {
-            let inside: Vec<usize> = (0..W * H).filter(|&p| moving[p] > 0).collect();
+        for (disparity, dynamic) in clip.disparity.iter_mut().zip(&clip.dynamic) {
+            let inside: Vec<usize> = (0..W * H).filter(|&p| dynamic[p] > 0).collect();
             let left = inside.iter().map(|p| p % W).min().unwrap_or(0);
             inside
                 .into_iter()

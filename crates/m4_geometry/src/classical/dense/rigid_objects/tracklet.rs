@@ -1,4 +1,4 @@
-//! A moving part through time, for as long as it stays one part, and which pixels of the masks
+//! A dynamic part through time, for as long as it stays one part, and which pixels of the masks
 //! belong to which object while objects pass in front of one another.
 //!
 //! Two objects whose images touch are one connected part of the mask. Those that were separate
@@ -125,7 +125,7 @@ const PAIR: f32 = 0.5;
 pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
     let (w, h) = (clip.width, clip.height);
     let parts: Vec<Components> = clip
-        .moving
+        .dynamic
         .par_iter()
         .map(|m| Components::of(w, h, m))
         .collect();
