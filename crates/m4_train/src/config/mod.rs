@@ -219,15 +219,15 @@ pub struct RateConfig {
     pub position_end: f32,
     /// Of constant colours. 2.5e-3 (3DGS); 0.02 here: a dynamic splat is seen in a few dozen steps
     /// (measured on held-out views: +1 to +2 dB after 500 steps, with the other rates alike; faster
-    /// than this costs moving parts 0.1 to 0.2 dB in longer runs).
+    /// than this costs dynamic parts 0.1 to 0.2 dB in longer runs).
     pub colour: f32,
     /// Of the other colour coefficients. 1.25e-4, a twentieth of that of constant colours (3DGS);
     /// 0.02 here, as constant colours: with a twentieth they hardly move in a thousand steps
     /// (measured on held-out views).
     pub colour_harmonics: f32,
     /// Of opacities (logit). 0.05 (3DGS): faster ones make dynamic objects translucent from every
-    /// view but the training camera's (measured on held-out views: -0.15 dB inside the moving parts
-    /// at 0.3).
+    /// view but the training camera's (measured on held-out views: -0.15 dB inside the dynamic
+    /// parts at 0.3).
     pub opacity: f32,
     /// Of scales (logarithm). 0.005 (3DGS); 0.03 here, as for colours.
     pub scale: f32,

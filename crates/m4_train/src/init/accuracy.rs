@@ -2,7 +2,7 @@
 
 use crate::init::{
     InitConfig, InitError,
-    assemble::{Moving, moving},
+    assemble::{DynamicPart, dynamic_part},
     cloud::clouds,
     config::stopped,
     lives::{Carrier, Clip, Span},
@@ -106,12 +106,12 @@ pub fn motion_errors(
         });
     }
     let clouds = clouds(capture, config, progress)?;
-    let Moving {
+    let DynamicPart {
         frames,
         dynamic,
         fields,
         ..
-    } = moving(capture, config, &clouds, progress)?;
+    } = dynamic_part(capture, config, &clouds, progress)?;
     let clip = Clip {
         capture,
         frames: &frames,

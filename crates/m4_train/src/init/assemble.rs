@@ -19,7 +19,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Voxels are never smaller than this, pixels at the median depth: splats finer than the pixels
-/// leave cracks in views from the side (measured: -0.4 dB inside moving parts at 0.5;
+/// leave cracks in views from the side (measured: -0.4 dB inside dynamic parts at 0.5;
 /// docs/decisions/0004).
 const MIN_PIXELS: f32 = 1.25;
 /// Edge of voxels, pixels, that merge no two pixels of a frame.
@@ -98,12 +98,12 @@ pub fn initialise(
         3,
         &format!("{} static", static_points.xyz.len()),
     );
-    let Moving {
-        grid: moving_grid,
+    let DynamicPart {
+        grid: dynamic_grid,
         frames,
         dynamic,
         fields,
-    } = moving(capture, config, &clouds, progress)?;
+    } = dynamic_part(capture, config, &clouds, progress)?;
     progress.update(
         "voxels",
         2,
@@ -124,7 +124,7 @@ pub fn initialise(
         capture,
         frames: &frames,
         dynamic: &dynamic,
-        grid: &moving_grid,
+        grid: &dynamic_grid,
         depth_range: [clouds.near_depth, clouds.far_depth],
         median_depth,
     };
@@ -174,7 +174,7 @@ pub fn initialise(
 }
 
 /// The dynamic points of a clip.
-pub(crate) struct Moving {
+pub(crate) struct DynamicPart {
     /// Of the points.
     pub grid: Grid,
     /// The frame of each keyframe.
@@ -186,18 +186,18 @@ pub(crate) struct Moving {
 }
 
 /// The dynamic points of a clip and how they move.
-pub(crate) fn moving(
+pub(crate) fn dynamic_part(
     capture: &Capture,
     config: &InitConfig,
     clouds: &Clouds,
     progress: &dyn Progress,
-) -> Result<Moving, InitError> {
+) -> Result<DynamicPart, InitError> {
     let grid = |pixels| grid(capture, config, clouds, pixels);
     let points = |pixels: &Pixels| pixels.cloud(capture);
     let count = |p| {
         let grid = grid(p);
         clouds
-            .moving
+            .dynamic
             .par_iter()
             .map(|k| grid.occupied(&points(k)))
             .sum()
@@ -207,17 +207,17 @@ pub(crate) fn moving(
     } else {
         MIN_PIXELS
     };
-    let moving_grid = grid(pixels_for(config.max_dynamic, least, count));
+    let dynamic_grid = grid(pixels_for(config.max_dynamic, least, count));
     let dynamic: Vec<(f64, Centroids)> = clouds
-        .moving
+        .dynamic
         .par_iter()
-        .map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k))))
+        .map(|k| (capture.frames[k.frame].t, dynamic_grid.merge(&points(k))))
         .collect();
     stopped(progress)?;
     let fields = motions(capture, config, clouds, &dynamic, &grid, progress)?;
-    let frames = clouds.moving.iter().map(|k| k.frame).collect();
-    Ok(Moving {
-        grid: moving_grid,
+    let frames = clouds.dynamic.iter().map(|k| k.frame).collect();
+    Ok(DynamicPart {
+        grid: dynamic_grid,
         frames,
         dynamic,
         fields,
@@ -261,12 +261,12 @@ fn motions(
         VelocityInit::Register { tracks } => {
             let coarse_grid = grid(NODE_PIXELS);
             let coarse = clouds
-                .moving
+                .dynamic
                 .par_iter()
                 .map(|k| coarse_grid.merge(&k.cloud(capture)));
             let coarse: Vec<Centroids> = coarse.collect();
             let reach = (f64::from(REACH_PIXELS) * clouds.median_depth / clouds.focal_px) as f32;
-            let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
+            let frames = || clouds.dynamic.iter().map(|k| &capture.frames[k.frame]);
             let sees: Vec<_> = frames()
                 .map(|frame| move |p| is_visible(frame, p, HIDDEN_BEHIND))
                 .collect();
@@ -277,7 +277,7 @@ fn motions(
                     sees: &sees[i],
                 })
                 .collect();
-            let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
+            let frames: Vec<usize> = clouds.dynamic.iter().map(|k| k.frame).collect();
             let tracks = capture
                 .tracks
                 .as_ref()

@@ -64,9 +64,9 @@ impl Pixels {
 pub(crate) struct Clouds {
     /// The static part, in the frames that it is taken from.
     pub static_points: Vec<Pixels>,
-    /// The dynamic part, one per keyframe, in order of time; keyframes without moving pixels
+    /// The dynamic part, one per keyframe, in order of time; keyframes without dynamic pixels
     /// included.
-    pub moving: Vec<Pixels>,
+    pub dynamic: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
     /// Mean z-depth of the first frame with depth, world units.
@@ -114,7 +114,7 @@ pub(crate) fn clouds(
 
     let mut out = Clouds {
         static_points: Vec::new(),
-        moving: Vec::new(),
+        dynamic: Vec::new(),
         median_depth: 0.0,
         first_depth: 0.0,
         near_depth: 0.0,
@@ -145,7 +145,7 @@ pub(crate) fn clouds(
             let pixels = |mask| Pixels { frame, mask };
             points += part.static_points.as_ref().map_or(0, CompactMask::count);
             out.static_points.extend(part.static_points.map(pixels));
-            out.moving.extend(part.moving.map(pixels));
+            out.dynamic.extend(part.dynamic.map(pixels));
         }
         let note = format!("{points} points");
         progress.update(
@@ -186,7 +186,7 @@ struct Part {
     /// Static pixels that are points, where they are asked for.
     static_points: Option<CompactMask>,
     /// Dynamic pixels that are points; `None` without depth.
-    moving: Option<CompactMask>,
+    dynamic: Option<CompactMask>,
     /// Every 16th usable depth, for the median.
     depths: Vec<f32>,
     focal_px: f64,
@@ -195,7 +195,7 @@ struct Part {
 fn classify_pixels(frame: &CaptureFrame, config: &InitConfig, want_static: bool) -> Part {
     let mut part = Part {
         static_points: None,
-        moving: None,
+        dynamic: None,
         depths: Vec::new(),
         focal_px: 0.0,
     };
@@ -217,13 +217,13 @@ fn classify_pixels(frame: &CaptureFrame, config: &InitConfig, want_static: bool)
         let still = |i: usize| usable[i] && !near_moving[i];
         part.static_points = Some(CompactMask::from_fn(w, h, |x, y| still(y * w + x)));
     }
-    let moving = |i: usize| usable[i] && moves[i];
-    part.moving = Some(CompactMask::from_fn(w, h, |x, y| moving(y * w + x)));
+    let dynamic = |i: usize| usable[i] && moves[i];
+    part.dynamic = Some(CompactMask::from_fn(w, h, |x, y| dynamic(y * w + x)));
     part
 }
 
 /// Calls `visit(x, y, world point, colour)` for every `step`-th pixel of every `step`-th row of the
-/// depth map that is static and is not near a moving one.
+/// depth map that is static and is not near a dynamic one.
 pub(crate) fn visit_static_pixels(
     frame: &CaptureFrame,
     config: &InitConfig,

@@ -42,8 +42,8 @@ pub enum VelocityInit {
     /// aligned to every frame, and splats are bound to them (docs/spec/scaffold.md 4).
     Register {
         /// Where the capture brings tracks, points near them go where they say, before the frames
-        /// have their word (section 2.6; measured: 0.00 to +0.12 dB inside moving parts, +0.27 with
-        /// true depth; docs/geometry-log.md, "First velocities from tracks").
+        /// have their word (section 2.6; measured: 0.00 to +0.12 dB inside dynamic parts, +0.27
+        /// with true depth; docs/geometry-log.md, "First velocities from tracks").
         tracks: bool,
     },
 }
@@ -93,8 +93,8 @@ pub struct InitConfig {
     /// Static points are taken from at most this many frames, evenly spread. 24 frames of 480 x 360
     /// are 4 million points, which is what 150 MB hold; twice as many bring nothing (measured).
     pub static_frames: usize,
-    /// Static points within this many pixels of a moving one are dropped: masks are never exact,
-    /// and a moving pixel taken for wall stays on the wall (our rule).
+    /// Static points within this many pixels of a dynamic one are dropped: masks are never exact,
+    /// and a dynamic pixel taken for wall stays on the wall (our rule).
     pub mask_margin_px: usize,
     /// Static points that are nearer by more than this share than what several other frames see
     /// there are dropped: depth that smears over edges (docs/spec/optimiser.md 2.6 has 5 % for
@@ -120,8 +120,8 @@ pub struct InitConfig {
     /// reference (docs/spec/optimiser.md 2.4); else they have no time at all.
     pub static_fade: bool,
     /// Opacity at the start, 0..1. Reference 0.1; docs/spec/optimiser.md 2.5 recommends 0.5; 0.97
-    /// with small splats is sharper from the start (measured: +0.05 SSIM inside moving parts before
-    /// training).
+    /// with small splats is sharper from the start (measured: +0.05 SSIM inside dynamic parts
+    /// before training).
     pub opacity: f32,
     /// Standard deviation in units of that of the nearest neighbours along each axis of the
     /// surface; of an isotropic splat in units of the distance to the three nearest neighbours

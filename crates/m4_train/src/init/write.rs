@@ -22,7 +22,7 @@ const COVER: f32 = 3.5;
 
 /// Neighbours, the point itself among them, whose spread gives a splat its axes and its standard
 /// deviations: a disc on the surface (our rule; measured: +1 dB on whole held-out views, +0.5 dB
-/// inside moving parts over spheres; docs/decisions/0004).
+/// inside dynamic parts over spheres; docs/decisions/0004).
 const DISC_NEIGHBOURS: usize = 9;
 /// Thickness of a disc: least standard deviation in units of the distance to the three nearest
 /// neighbours (docs/decisions/0004).
