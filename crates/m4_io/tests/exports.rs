@@ -10,7 +10,7 @@ use m4_testkit::SceneSpec;
 use serde_json::Value;
 use std::io::Read;
 
-/// One static and one moving splat, nothing symmetric, numbers that are easy by hand:
+/// One static and one dynamic splat, nothing symmetric, numbers that are easy by hand:
 ///
 /// ```text
 /// still   mean (1, 2, 6), ln scales -1 -2 -3, a quarter of a turn about y, opacity 0.8, c = (1, 0, -1)

@@ -125,7 +125,7 @@ pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<De
     }
     ratios.sort_by(f64::total_cmp);
     let scale = median_of_sorted(&ratios);
-    let [mut outside, mut fixed, mut moving] = [Sum::default(); 3];
+    let [mut outside, mut fixed, mut dynamic] = [Sum::default(); 3];
     for &pair in &pairs {
         visit(pair, |e, z, region| match region {
             Region::Static => {
@@ -133,10 +133,10 @@ pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<De
                 fixed.add(scale * e, z);
             }
             Region::StaticInMask => fixed.add(scale * e, z),
-            Region::Dynamic => moving.add(scale * e, z),
+            Region::Dynamic => dynamic.add(scale * e, z),
         });
     }
-    let [outside, fixed, moving] = [outside, fixed, moving].map(|s| s.score());
+    let [outside, fixed, dynamic] = [outside, fixed, dynamic].map(|s| s.score());
     Some(DepthError {
         frames: pairs.len(),
         scale,
@@ -144,9 +144,9 @@ pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<De
         static_outside_masks_abs_rel: outside.map(|s| s.0),
         static_within_25_percent: fixed.map(|s| s.1),
         static_coverage: fixed.map(|s| s.2),
-        moving_abs_rel: moving.map(|s| s.0),
-        moving_within_25_percent: moving.map(|s| s.1),
-        moving_coverage: moving.map(|s| s.2),
+        moving_abs_rel: dynamic.map(|s| s.0),
+        moving_within_25_percent: dynamic.map(|s| s.1),
+        moving_coverage: dynamic.map(|s| s.2),
     })
 }
 
@@ -161,11 +161,11 @@ pub(super) fn mask_score(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<Mas
         let (mut b, mut n_e, mut n_t) = (0usize, 0usize, 0usize);
         for y in 0..t.size().1 {
             for x in 0..t.size().0 {
-                let moving = t.at(x, y);
+                let dynamic = t.at(x, y);
                 let in_estimate = is_set(e, (x, y), t.size());
-                b += usize::from(moving && in_estimate);
+                b += usize::from(dynamic && in_estimate);
                 n_e += usize::from(in_estimate);
-                n_t += usize::from(moving);
+                n_t += usize::from(dynamic);
             }
         }
         frames += 1;

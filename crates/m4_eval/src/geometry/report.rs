@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub struct DepthError {
     /// Frames with depth on both sides.
     pub frames: usize,
-    /// The factor: median of truth / estimate over static pixels (over moving ones if there are no
+    /// The factor: median of truth / estimate over static pixels (over dynamic ones if there are no
     /// other).
     pub scale: f64,
     /// Mean of `|scale * estimate - truth| / truth` over static pixels that the estimate covers.
@@ -27,11 +27,11 @@ pub struct DepthError {
     pub static_within_25_percent: Option<f64>,
     /// Share of the static pixels of the truth that the estimate covers.
     pub static_coverage: Option<f64>,
-    /// As `static_abs_rel`, over moving pixels, with the same factor.
+    /// As `static_abs_rel`, over dynamic pixels, with the same factor.
     pub moving_abs_rel: Option<f64>,
-    /// As `static_within_25_percent`, over moving pixels.
+    /// As `static_within_25_percent`, over dynamic pixels.
     pub moving_within_25_percent: Option<f64>,
-    /// As `static_coverage`, over moving pixels.
+    /// As `static_coverage`, over dynamic pixels.
     pub moving_coverage: Option<f64>,
 }
 
@@ -44,9 +44,9 @@ pub struct MaskScore {
     pub iou: f64,
     /// Mean of the frames' own intersection over union (1 where both are empty).
     pub mean_frame_iou: f64,
-    /// Share of the estimated moving pixels that move.
+    /// Share of the estimated dynamic pixels that move.
     pub precision: f64,
-    /// Share of the moving pixels that were found.
+    /// Share of the dynamic pixels that were found.
     pub recall: f64,
 }
 
@@ -118,7 +118,7 @@ impl GeometryReport {
         );
         if let Some(depth) = &self.depth {
             let cell = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.4}"));
-            let [fixed, outside, moving] = [
+            let [fixed, outside, dynamic] = [
                 depth.static_abs_rel,
                 depth.static_outside_masks_abs_rel,
                 depth.moving_abs_rel,
@@ -127,7 +127,7 @@ impl GeometryReport {
             line(
                 "depth",
                 format!(
-                    "AbsRel {fixed} static ({outside} outside the masks), {moving} dynamic (all pixels of the true masks)"
+                    "AbsRel {fixed} static ({outside} outside the masks), {dynamic} dynamic (all pixels of the true masks)"
                 ),
             );
         }

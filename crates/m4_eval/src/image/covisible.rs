@@ -10,7 +10,7 @@
 //! keeps those that more than max(5, a tenth of the frames) saw. The masks that its authors publish
 //! (`covisible/2x/val`) were made so with RAFT; where they are at hand they should be used, for
 //! figures to be comparable. [`seen_by_depth`] serves captures that have depth and poses instead:
-//! it cannot follow the dynamic part, so that a moving thing counts as seen only by the frames in
+//! it cannot follow the dynamic part, so that a dynamic object counts as seen only by the frames in
 //! which it stands where it stood.
 
 use super::{ImageError, same_size};

@@ -45,7 +45,7 @@ impl Default for SceneConfig {
 pub struct BenchScene {
     /// In Morton order.
     pub splats: Splats,
-    /// One of a static scene, several instants of a moving one.
+    /// One of a static scene, several instants of a dynamic one.
     pub views: Vec<View>,
     /// The image of every view.
     pub target: Target,

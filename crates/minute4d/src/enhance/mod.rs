@@ -44,8 +44,8 @@ pub fn moving_share(capture: &Capture) -> Option<f64> {
             .filter_map(|frame| frame.mask.as_ref())
     };
     let pixels: usize = masks().map(|mask| mask.size().0 * mask.size().1).sum();
-    let moving: usize = masks().map(CompactMask::count).sum();
-    (pixels > 0).then(|| moving as f64 / pixels as f64)
+    let n_dynamic: usize = masks().map(CompactMask::count).sum();
+    (pixels > 0).then(|| n_dynamic as f64 / pixels as f64)
 }
 
 /// The refusal of a plan without a method, or none that is available.

@@ -203,7 +203,7 @@ impl<'a> Reconstruction<'a> {
         }
         let lens = sparse.cameras.first().map(|c: &Camera| c.intrinsics);
         let pixels: usize = dense.frames.iter().map(|d| d.mask.data().len()).sum();
-        let moving = dense
+        let dynamic = dense
             .frames
             .iter()
             .flat_map(|d| d.mask.data())
@@ -223,7 +223,7 @@ impl<'a> Reconstruction<'a> {
             tracks: sparse.tracks.len(),
             points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
             moving_tracks: dense.tracks.as_ref().map_or(0, Tracks::count),
-            moving_share: moving.count() as f64 / pixels.max(1) as f64,
+            moving_share: dynamic.count() as f64 / pixels.max(1) as f64,
             frontend: methods.frontend.frontend.to_string(),
             networks: methods.frontend.used.clone(),
             segmenter: methods.segmenter.name().to_owned(),

@@ -13,8 +13,8 @@ use m4_geometry::megasam::{
 };
 use m4_geometry::resample::resize_bilinear;
 
-/// Share of moving pixels beyond which it is likelier that the network is misread than that so much
-/// moves (docs/spec/front-end.md 1.9).
+/// Share of dynamic pixels beyond which the output of the network is more likely misread than right
+/// (docs/spec/front-end.md 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;
 
 /// Reconstructs `clip`; refused where poses were given.

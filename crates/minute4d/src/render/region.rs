@@ -7,7 +7,7 @@ use m4_kernels::pose;
 
 /// Share of the source cameras that counts as the reach of the source.
 const REACH_SHARE: f64 = 0.8;
-/// Opacity, faded by time, from which a moving splat counts.
+/// Opacity, faded by time, from which a dynamic splat counts.
 const SEEN_OPACITY: f64 = 0.2;
 /// Fewest splats that make something that moves.
 const LEAST_MOVING: usize = 50;
@@ -48,7 +48,7 @@ impl Region {
     }
 }
 
-/// Median z-depth of the moving splats that the camera sees; `None` where there are next to none.
+/// Median z-depth of the dynamic splats that the camera sees; `None` where there are next to none.
 fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
     let splats = &scene.splats;
     let n_static = splats.n_static();
@@ -118,8 +118,8 @@ mod tests {
             sh_degree: 0,
             time_degree: 0,
         };
-        // 100 static splats at 9; 60 moving ones that are at 4 in frame 10; 60 beside the image; 60
-        // of frame 30.
+        // 100 static splats at 9; 60 dynamic ones at 4 in frame 10; 60 beside the image; 60 of
+        // frame 30.
         let mut splats = Splats::zeros(layout, 100, 180);
         splats.column_mut(Column::Opacity, 0).fill(3.0);
         let z = splats.column_mut(Column::Mean, 2);

@@ -193,7 +193,7 @@ fn report(
         .filter(|z| *z > 0.0)
         .count();
     let masks = || frames.iter().filter_map(|f| f.mask.as_ref());
-    let moving: usize = masks().map(CompactMask::count).sum();
+    let n_dynamic: usize = masks().map(CompactMask::count).sum();
     CaptureReport {
         format,
         path: out.to_path_buf(),
@@ -202,7 +202,7 @@ fn report(
         fov_deg: lens.map_or(0.0, |k| k.horizontal_fov_rad().to_degrees()),
         duration_s: capture.duration_s,
         known_share: known_pixels as f64 / pixels,
-        moving_share: masks().next().map(|_| moving as f64 / pixels),
+        moving_share: masks().next().map(|_| n_dynamic as f64 / pixels),
         held_out,
         seconds,
     }

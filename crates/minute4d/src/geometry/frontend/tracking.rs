@@ -17,7 +17,7 @@ use std::sync::Arc;
 pub struct NetworkCorrespondence<'a> {
     memory: DroidMemory<'a>,
     /// What is known to move, a plane per frame on the grid.
-    moving: Option<Vec<Vec<bool>>>,
+    dynamic: Option<Vec<Vec<bool>>>,
 }
 
 impl<'a> NetworkCorrespondence<'a> {
@@ -64,7 +64,7 @@ impl<'a> NetworkCorrespondence<'a> {
         };
         Self {
             memory: DroidMemory::new(Arc::new(net), options, Box::new(image)),
-            moving: masks.map(|masks| masks.iter().map(on_grid).collect()),
+            dynamic: masks.map(|masks| masks.iter().map(on_grid).collect()),
         }
     }
 }
@@ -111,11 +111,11 @@ impl Correspondence for NetworkCorrespondence<'_> {
                 .revise_source(source.frame, &mut edges)
                 .map_err(failed)?;
             source.damping.copy_from_slice(&eta);
-            if let Some(moving) = self.moving.as_ref().and_then(|m| m.get(source.frame)) {
+            if let Some(dynamic) = self.dynamic.as_ref().and_then(|m| m.get(source.frame)) {
                 for edge in edges {
-                    let confident = edge.static_confidence.iter_mut().zip(moving);
+                    let confident = edge.static_confidence.iter_mut().zip(dynamic);
                     confident
-                        .filter(|(_, moving)| **moving)
+                        .filter(|(_, dynamic)| **dynamic)
                         .for_each(|(m, _)| *m = 0.0);
                 }
             }
