@@ -7,8 +7,8 @@ use m4_core::{
 use m4_geometry::dba::{Grid, Pinhole};
 use m4_geometry::megasam::graph::{EdgeChanges, EdgeId};
 use m4_geometry::megasam::tracker::{
-    Clip, Correspondence, CorrespondenceError, FrameInput, Revision, Tracked, TrackerSettings,
-    track,
+    Correspondence, CorrespondenceError, FrameInput, Revision, Tracked, TrackerInput,
+    TrackerSettings, track,
 };
 use std::collections::HashMap;
 
@@ -237,7 +237,7 @@ fn inputs(sensor: impl Fn(usize) -> Vec<f32>) -> Vec<FrameInput> {
 
 fn run(settings: &TrackerSettings, guess: f64, sensor: fn(usize) -> Vec<f32>) -> Tracked {
     let frames = inputs(sensor);
-    let clip = Clip {
+    let clip = TrackerInput {
         grid: GRID,
         lens: Pinhole {
             fx: LENS.fx * guess,
@@ -332,7 +332,7 @@ fn still(_i: usize, j: usize) -> DenseFlow {
 #[test]
 fn a_camera_on_a_tripod_stays_where_it_is() {
     let frames = inputs(sensor);
-    let clip = Clip {
+    let clip = TrackerInput {
         grid: GRID,
         lens: LENS,
         frames: &frames,
@@ -373,7 +373,7 @@ fn single_frames_and_unordered_frames_are_rejected() {
     let mut source = FlowCorrespondence::new(still);
     let settings = TrackerSettings::default();
     let mut ask = |frames: &[FrameInput]| {
-        let clip = Clip {
+        let clip = TrackerInput {
             grid: GRID,
             lens: LENS,
             frames,

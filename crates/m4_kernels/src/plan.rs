@@ -16,7 +16,7 @@ const TRAINING: &str = "training";
 
 /// One part of a [`Plan`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Part {
+pub struct MemoryItem {
     /// Its contents.
     pub what: &'static str,
     /// All of its buffers, bytes.
@@ -30,20 +30,20 @@ pub struct Part {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Plan {
     doing: &'static str,
-    parts: Vec<Part>,
+    parts: Vec<MemoryItem>,
     frame_bytes: u64,
     frames: usize,
     /// Memory of a second set of gradients.
-    batch: Part,
+    batch: MemoryItem,
     /// Memory for gradients in the image.
-    centres: Part,
+    centres: MemoryItem,
 }
 
 /// The buffers of a part, counted in numbers of four bytes.
-fn part(what: &'static str, buffers: &[usize]) -> Part {
+fn part(what: &'static str, buffers: &[usize]) -> MemoryItem {
     // a buffer has at least one number
     let bytes = buffers.iter().map(|&len| 4 * len.max(1) as u64);
-    Part {
+    MemoryItem {
         what,
         bytes: bytes.clone().sum(),
         largest: bytes.max().unwrap_or(0),
@@ -86,7 +86,7 @@ impl Plan {
         parts.push(density_control(&columns, n, pixels));
         // planes of bytes, each in words of its own
         let frame = part("frames", &[3 * pixels.div_ceil(4)]);
-        parts.push(Part {
+        parts.push(MemoryItem {
             what: "frames",
             bytes: frame.bytes * frames as u64,
             largest: if frames > 0 { frame.largest } else { 0 },
@@ -173,7 +173,7 @@ impl Plan {
     }
 
     /// The parts: splats, moments, gradients, and so on.
-    pub fn parts(&self) -> &[Part] {
+    pub fn parts(&self) -> &[MemoryItem] {
         &self.parts
     }
 
@@ -239,7 +239,7 @@ fn megabytes(bytes: u64) -> u64 {
 /// Temporary memory: scores of splats and the order of a frame's errors, or the order of the scores
 /// and the outcome of each splat, or splats and a moment twice while their rows change, or the sums
 /// of colours.
-fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
+fn density_control(columns: &[usize], n: usize, pixels: usize) -> MemoryItem {
     let mut scores = vec![
         2 * n,
         2 * n,
@@ -260,7 +260,7 @@ fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
         part(what, &rows),
         part(what, &[6 * n]),
     ];
-    Part {
+    MemoryItem {
         what,
         bytes: all.iter().map(|part| part.bytes).max().unwrap_or(0),
         largest: all.iter().map(|part| part.largest).max().unwrap_or(0),
@@ -275,7 +275,7 @@ fn columns(n_static: usize, n_dynamic: usize, layout: SplatLayout) -> [usize; 3]
 }
 
 /// What [`Work`](crate::renderer::gpu::Work) makes.
-fn work(size: &Size) -> Vec<Part> {
+fn work(size: &Size) -> Vec<MemoryItem> {
     let (n, entries, tiles, pixels) = (size.n, size.entries, size.tiles(), size.pixels());
     let splats = [RECORD * n, REACH * n, n, n, n, n, n, EYE];
     let mut lists = vec![entries; 6];

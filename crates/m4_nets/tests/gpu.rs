@@ -7,7 +7,7 @@ use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
 use m4_core::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
-use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoPredictor};
+use m4_nets::sam2::{Direction, ObjectMask, VideoPredictor, VideoSize};
 use m4_nets::{
     ClipError, Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam,
     PointPrompt, PointQuery, PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
@@ -311,7 +311,7 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> Vec<Vec<f32>> {
     let net = Arc::new(Sam2::load(path, on).unwrap().with_side(64).unwrap());
     let point = |at_px: [f32; 2], on_object| PointPrompt { at_px, on_object };
     let points = vec![point([40.0, 30.0], true), point([20.0, 70.0], false)];
-    let clip = Clip {
+    let clip = VideoSize {
         frames: 2,
         width: 128,
         height: 96,

@@ -4,7 +4,7 @@
 
 use crate::common::loaded;
 use m4_core::{Plane, RgbImage, Silent};
-use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoPredictor};
+use m4_nets::sam2::{Direction, ObjectMask, VideoPredictor, VideoSize};
 use m4_nets::{NetError, PointPrompt, Prompt, Sam2, cpu};
 use m4_testkit::{FormulaWeights, StopAtPoll, same_on_any_threads};
 use std::collections::BTreeMap;
@@ -64,7 +64,7 @@ fn moving(w: usize, h: usize, frame: usize) -> RgbImage {
     })
 }
 
-const CLIP: Clip = Clip {
+const CLIP: VideoSize = VideoSize {
     frames: 60,
     width: 90,
     height: 50,
@@ -224,7 +224,7 @@ fn invalid_clips_and_prompts_are_refused() {
     ] {
         says(
             open(
-                Clip {
+                VideoSize {
                     frames,
                     width,
                     height: 9,
@@ -334,7 +334,7 @@ fn invalid_clips_and_prompts_are_refused() {
 #[test]
 fn a_clip_of_one_frame_can_be_corrected() {
     let images = Box::new(|_: usize| Ok(moving(64, 64, 0)));
-    let clip = Clip {
+    let clip = VideoSize {
         frames: 1,
         width: 64,
         height: 64,

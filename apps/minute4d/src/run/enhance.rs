@@ -42,7 +42,7 @@ pub struct EnhanceReport {
 
 /// The settings that this stage depends on.
 #[derive(Serialize)]
-struct Part<'a> {
+struct Dependencies<'a> {
     enhance: &'a EnhanceConfig,
     dense: &'a DenseConfig,
     segmenter: &'a str,
@@ -73,7 +73,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
     let recorder = RecordingObserver::new(job.observer);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let capture = super::train::read(input, settings, &recorder)?;
-    let part = Part {
+    let part = Dependencies {
         enhance: &settings.enhance,
         dense: &settings.dense,
         segmenter: plan.segmenter(),

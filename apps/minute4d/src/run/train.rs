@@ -26,7 +26,7 @@ use std::path::Path;
 
 /// The settings that this stage depends on.
 #[derive(Serialize)]
-struct Part<'a> {
+struct Dependencies<'a> {
     profile: Profile,
     init: &'a InitSettings,
     train: &'a TrainSettings,
@@ -100,7 +100,7 @@ pub(crate) fn stage(
     capture: &HashedCapture,
 ) -> Result<(Scene, Option<viewer::Packed>), Error> {
     let settings = &run.job.settings;
-    let part = part_to_toml(&Part {
+    let part = part_to_toml(&Dependencies {
         profile: settings.profile,
         init: &settings.init,
         train: &settings.train,

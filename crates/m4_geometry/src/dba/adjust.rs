@@ -4,7 +4,7 @@
 use super::lanes::Rays;
 use super::options::{DbaOptions, DbaReport};
 use super::problem::{DbaError, Factor, Geometry, Problem};
-use super::source::{Context, Part, Source};
+use super::source::{Context, Source, SourceSums};
 use fearless_simd::Level;
 use m4_core::Se3;
 use m4_core::nalgebra::{Cholesky, DMatrix, DVector, Vector6};
@@ -139,7 +139,7 @@ impl System {
 
     /// Adds the share of a source. Called in the order of the sources: sums do not depend on
     /// threads.
-    pub(super) fn add(&mut self, part: &Part) {
+    pub(super) fn add(&mut self, part: &SourceSums) {
         let mut groups: Vec<(usize, usize, usize)> = part
             .frames
             .iter()

@@ -33,7 +33,7 @@ pub(super) struct Source<'a> {
 
 /// The share of one source: rows and columns are the source, then the target of every edge (six
 /// each), then the focal parameter where it is free.
-pub(super) struct Part {
+pub(super) struct SourceSums {
     /// Frame of each group of six.
     pub frames: Vec<usize>,
     /// Curvature with the disparities eliminated.
@@ -164,7 +164,7 @@ impl Source<'_> {
     }
 
     /// This source's share of the reduced system.
-    pub(super) fn reduce(&self, context: &Context<'_>) -> Part {
+    pub(super) fn reduce(&self, context: &Context<'_>) -> SourceSums {
         let free = context.options.free;
         let count = self.edges.len();
         // The focal row has two empty ones below it, since products are formed three rows at a
@@ -257,7 +257,7 @@ impl Source<'_> {
         sums: &[EdgeSums],
         products: &DMatrix<f64>,
         shift: &DVector<f64>,
-    ) -> Part {
+    ) -> SourceSums {
         let free = context.options.free;
         let count = self.edges.len();
         let n = 6 * (count + 1);
@@ -324,7 +324,7 @@ impl Source<'_> {
             part -= shift;
         }
         let targets = self.edges.iter().map(|f| f.target);
-        Part {
+        SourceSums {
             frames: std::iter::once(self.frame).chain(targets).collect(),
             matrix: h,
             rhs: v,

@@ -2,7 +2,7 @@
 
 use super::cvd::pairs::{FramePair, PairStore, consistency_mask, halved, pair_list};
 use super::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
-use super::tracker::{Clip, Correspondence, FrameInput, Tracked};
+use super::tracker::{Correspondence, FrameInput, Tracked, TrackerInput};
 use super::{
     CELL_PX, DepthPrior, MegasamError, MegasamSettings, PriorKind, TrackingSize, from_grid, tracker,
 };
@@ -99,7 +99,7 @@ pub fn track(
             sensor: sensor(frame),
         })
         .collect();
-    let clip = Clip {
+    let clip = TrackerInput {
         grid,
         lens: size.grid_lens(&input.lens),
         frames: &inputs,

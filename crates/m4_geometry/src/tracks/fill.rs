@@ -30,7 +30,7 @@ const MOST_VIOLATIONS: usize = 2;
 const PROOF: usize = 8;
 
 /// The clip that tracks are carried through.
-pub(crate) struct Scene<'a> {
+pub(crate) struct TrackInputs<'a> {
     pub strip: &'a Strip,
     /// z-depth of all that a frame sees; 0 or not a number where unknown.
     pub surface: &'a (dyn Fn(usize) -> Result<DepthMap, TrackError> + Sync),
@@ -45,7 +45,7 @@ struct Outcome {
 
 /// Carries every track of `board` on to both ends of the clip, as far as its places can be told.
 pub(crate) fn fill(
-    scene: &Scene<'_>,
+    scene: &TrackInputs<'_>,
     board: &mut Board,
     progress: &dyn Progress,
 ) -> Result<(), TrackError> {
@@ -54,7 +54,7 @@ pub(crate) fn fill(
 }
 
 fn sweep(
-    scene: &Scene<'_>,
+    scene: &TrackInputs<'_>,
     board: &mut Board,
     forward: bool,
     progress: &dyn Progress,
@@ -130,7 +130,7 @@ fn sweep(
 
 /// What the camera says of a place where a point should be.
 fn look(
-    scene: &Scene<'_>,
+    scene: &TrackInputs<'_>,
     board: &Board,
     (track, memory): (usize, &Lost),
     guess: Guess,
@@ -171,7 +171,7 @@ fn least(surface: &DepthMap, at: [f32; 2]) -> f32 {
 
 /// The piece of a track that begins where the point should be, if what is seen there may be it.
 fn again(
-    scene: &Scene<'_>,
+    scene: &TrackInputs<'_>,
     board: &Board,
     (track, memory): (usize, &Lost),
     (now, at, z): (usize, [f32; 2], f64),

@@ -4,7 +4,7 @@
 use super::clip::{Strip, dynamic_disparity, sparse_flow_pair};
 use super::fill::State;
 use super::tracker::{nearest, thinned};
-use super::{Board, CaptureClip, PosedFrame, QueryGrid, Scene, TrackError, fill, seed};
+use super::{Board, CaptureClip, PosedFrame, QueryGrid, TrackError, TrackInputs, fill, seed};
 use m4_core::{Progress, Tracks, quantile};
 use rayon::prelude::*;
 
@@ -38,7 +38,7 @@ pub fn follow(
     let mut board = board_of(clip.frames(), &on_grid(&strip, grid));
     let surface = |i: usize| Ok(clip.read(i)?.depth);
     fill(
-        &Scene {
+        &TrackInputs {
             strip: &strip,
             surface: &surface,
         },

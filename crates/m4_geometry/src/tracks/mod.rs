@@ -27,6 +27,6 @@ pub use flow_tracker::follow;
 pub use tracker::{Query, QueryGrid, TrackError};
 
 pub(crate) use clip::{Sparse, Strip, sparse_flow};
-pub(crate) use fill::{Board, Scene, fill};
+pub(crate) use fill::{Board, TrackInputs, fill};
 pub(crate) use flow_tracker::{board_of, followed, on_grid};
 pub(crate) use tracker::seed;

@@ -343,14 +343,14 @@ const MILLI: f64 = 1e-3;
 /// The unit of depth maps.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unit {
-    /// Scene units per step of the maps.
+    /// SceneJson units per step of the maps.
     pub scene_units: f64,
     /// Whether a scene unit is a metre: what the sensor of a phone saw.
     pub metric: bool,
 }
 
 #[derive(Deserialize)]
-struct Scene {
+struct SceneJson {
     scale: f64,
     near: f64,
     far: f64,
@@ -378,7 +378,7 @@ pub(super) fn unit_of_depth(
     };
     let file = root.join("scene.json");
     let milli = if file.is_file() {
-        let scene: Scene = json(&file)?;
+        let scene: SceneJson = json(&file)?;
         // near and far are of the scaled scene
         let middle = (scene.near * scene.far).sqrt() / scene.scale;
         if !(middle.is_finite() && middle > 0.0) {

@@ -241,20 +241,20 @@ fn quantile(sorted: &[f64], q: f64) -> f64 {
     sorted[i] * (1.0 - part) + sorted[(i + 1).min(last)] * part
 }
 
-struct View {
+struct HeldOutImage {
     file: PathBuf,
     camera: usize,
     time: usize,
 }
 
 /// All of them, none where there is no folder of such; `n` cameras and moments.
-fn views(root: &Path, n: usize) -> Result<Vec<View>, ReadError> {
+fn views(root: &Path, n: usize) -> Result<Vec<HeldOutImage>, ReadError> {
     let flat = ["gt", "test"].map(|name| root.join(name));
     if let Some(folder) = flat.iter().find(|p| p.is_dir()) {
         let files = listed(folder, EXTENSIONS)?;
         let views = files.into_iter().filter_map(|file| {
             let (camera, time) = by_name(&stem(&file))?;
-            Some(checked(View { file, camera, time }, n))
+            Some(checked(HeldOutImage { file, camera, time }, n))
         });
         return views.collect();
     }
@@ -284,7 +284,7 @@ fn views(root: &Path, n: usize) -> Result<Vec<View>, ReadError> {
                 return Err(Fault::bad(what, "name the views as NSFF does").at(&file));
             };
             if camera != time % cameras {
-                views.push(checked(View { file, camera, time }, n)?);
+                views.push(checked(HeldOutImage { file, camera, time }, n)?);
             }
         }
     }
@@ -297,7 +297,7 @@ fn by_name(name: &str) -> Option<(usize, usize)> {
     Some((camera.parse().ok()?, time.parse().ok()?))
 }
 
-fn checked(view: View, n: usize) -> Result<View, ReadError> {
+fn checked(view: HeldOutImage, n: usize) -> Result<HeldOutImage, ReadError> {
     if view.camera < n && view.time < n {
         return Ok(view);
     }

@@ -52,7 +52,7 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteError> {
     let per_row = TEX_WIDTH * TEXEL_BYTES / SPLAT_BYTES;
     let rows = n.div_ceil(per_row).max(1);
     let texture = rows * TEX_WIDTH * TEXEL_BYTES;
-    let part = Part {
+    let part = FilePart {
         kind: "splat".to_owned(),
         size: texture as u64,
         texwidth: TEX_WIDTH as u64,
@@ -194,20 +194,20 @@ fn losses(scene: &Scene, worst_shift: f64) -> Vec<Loss> {
 
 /// A part of the file; players read the first alone.
 #[derive(Debug, Serialize)]
-struct Part {
+struct FilePart {
     #[serde(rename = "type")]
     kind: String,
     size: u64,
     texwidth: u64,
     texheight: u64,
-    cameras: Vec<View>,
+    cameras: Vec<CameraJson>,
     minute4d: Facts,
 }
 
 /// A camera as in the `cameras.json` of 3DGS: OpenCV axes, `rotation` is camera to world, row by
 /// row.
 #[derive(Debug, Serialize)]
-struct View {
+struct CameraJson {
     id: u64,
     img_name: String,
     width: u64,
@@ -245,10 +245,10 @@ impl Facts {
 }
 
 /// The cameras of a scene; `last` is its last frame.
-fn views(scene: &Scene, last: f64) -> Vec<View> {
+fn views(scene: &Scene, last: f64) -> Vec<CameraJson> {
     let view = |(i, frame): (usize, &SourceFrame)| {
         let Camera { intrinsics: k, c2w } = &frame.camera;
-        View {
+        CameraJson {
             id: i as u64,
             img_name: format!("{i:05}"),
             width: k.width as u64,

@@ -41,7 +41,7 @@ struct Group {
 
 /// The splats of a group that one band got.
 #[derive(Debug, Clone, Copy)]
-struct Part {
+struct BandLanes {
     band: u16,
     lanes: u16,
 }
@@ -56,7 +56,7 @@ pub(crate) struct Chunk {
     /// The splats that reach each band, in the order of the rows.
     pub(crate) bands: Vec<Handover>,
     groups: Vec<Group>,
-    parts: Vec<Part>,
+    parts: Vec<BandLanes>,
     /// Temporal marginals of each group; empty for static rows, where they are 1.
     marginals: Vec<[f32; LANES]>,
 }

@@ -10,7 +10,7 @@ use crate::{
         transpose, turn,
     },
     slice::cpu::{self as slice, Columns, Slice, SliceGradient},
-    stage::{CameraSums, Chunk, ChunkGradient, Group, Part},
+    stage::{BandLanes, CameraSums, Chunk, ChunkGradient, Group},
     tile_binning::handover::{Extent, FIELDS, Row},
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
@@ -169,7 +169,7 @@ fn emit<S: Simd>(
         let lanes = reach.lanes(s);
         if lanes != 0 {
             chunk.bands[band].push(s, row, lanes, &reach);
-            chunk.parts.push(Part {
+            chunk.parts.push(BandLanes {
                 band: band as u16,
                 lanes,
             });

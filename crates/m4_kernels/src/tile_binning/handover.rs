@@ -19,7 +19,8 @@ pub(crate) const FIELDS: usize = 10;
 /// A projected splat, the numbers of a [`Record`](super::cpu::Record) side by side. It lies where
 /// its row is, sixteen a group; rows of groups that are not in the image hold what they held.
 pub(crate) type Row = [f32; FIELDS];
-/// Tiles of a row, from the first of the blocks reached on, that have a bit in [`Part::tiles`].
+/// Tiles of a row, from the first of the blocks reached on, that have a bit in
+/// [`BandGroup::tiles`].
 pub(super) const WINDOW: u32 = 16;
 /// Blocks whose tiles have bits there.
 pub(super) const WINDOW_BLOCKS: u32 = WINDOW / BLOCK_COLUMNS as u32;
@@ -28,7 +29,7 @@ const NONE: u32 = 0xffff;
 
 /// The splats of a group of sixteen that reach a band.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Part {
+pub(crate) struct BandGroup {
     /// Of the first lane.
     pub(super) row: u32,
     pub(super) lanes: u16,
@@ -43,7 +44,7 @@ pub(crate) struct Part {
 /// What one band gets of one chunk.
 #[derive(Debug, Default)]
 pub(crate) struct Handover {
-    pub(super) parts: Vec<Part>,
+    pub(super) parts: Vec<BandGroup>,
     /// Spans of the splats that reach more than [`WINDOW_BLOCKS`] blocks, in their order.
     pub(super) far: Vec<[u32; BAND_TILES]>,
     splats: usize,
@@ -77,7 +78,7 @@ impl Handover {
         let tiles = each!(2, half => (bits[2 * half] | bits[2 * half + 1] << 16u32).to_array());
         let to = (most + k(1)) >> 1u32;
         let from = (least >> 1u32).min(to);
-        self.parts.push(Part {
+        self.parts.push(BandGroup {
             row,
             lanes,
             tiles,

@@ -67,7 +67,7 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
         &[bias],
     );
     let net = Arc::new(loaded(&weights, 256));
-    let clip = Clip {
+    let clip = VideoSize {
         frames: 6,
         width: 320,
         height: 192,
@@ -222,7 +222,7 @@ fn a_clip_without_its_objects_agrees_with_the_video_predictor() {
 #[test]
 fn memory_does_not_grow_with_the_clip() {
     let net = Arc::new(loaded(&FormulaWeights::of_keys(TINY), 64));
-    let clip = Clip {
+    let clip = VideoSize {
         frames: 60,
         width: 64,
         height: 64,

@@ -33,7 +33,7 @@ mod video;
 
 pub use bank::ObjectMask;
 pub use config::Sam2Size;
-pub use video::{Clip, Direction, VideoPredictor};
+pub use video::{Direction, VideoPredictor, VideoSize};
 
 use crate::error::{numbers, refuse};
 use crate::ops::{Kernels, linear, patch_conv, sine_positions, tensor, zeros};

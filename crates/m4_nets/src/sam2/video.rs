@@ -45,7 +45,7 @@ impl Direction {
 
 /// A clip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Clip {
+pub struct VideoSize {
     /// Frames.
     pub frames: usize,
     /// Columns that places of prompts are counted in, whatever the size of the images.
@@ -68,7 +68,7 @@ const EARLIER_LOGIT: f32 = 32.0;
 /// of each frame that an object was shown in.
 pub struct VideoPredictor<'a> {
     pub(super) net: Arc<Sam2>,
-    clip: Clip,
+    clip: VideoSize,
     images: ImageReader<'a>,
     fill_holes_px: usize,
     pub(super) objects: BTreeMap<u32, Object>,
@@ -95,7 +95,7 @@ impl<'a> VideoPredictor<'a> {
     /// [`NetError`] if the clip has no frames or no pixels.
     pub fn new(
         net: Arc<Sam2>,
-        clip: Clip,
+        clip: VideoSize,
         images: ImageReader<'a>,
         fill_holes_px: usize,
     ) -> Result<Self, NetError> {

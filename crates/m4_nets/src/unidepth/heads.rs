@@ -122,7 +122,7 @@ pub struct DepthHead {
 
 /// What the head works on.
 #[derive(Debug)]
-pub struct Scene<'a> {
+pub struct DecoderInputs<'a> {
     /// Tokens of each level of the backbone, `[h w, c]`.
     pub levels: &'a [Tensor<2>],
     /// Their positions, `[4 h w, c]`.
@@ -154,7 +154,7 @@ impl DepthHead {
     }
 
     /// The tokens that depth is made of, `[h w, c]`.
-    pub fn latents(&self, scene: &Scene<'_>, rays: Tensor<2>) -> Tensor<2> {
+    pub fn latents(&self, scene: &DecoderInputs<'_>, rays: Tensor<2>) -> Tensor<2> {
         let levels = || scene.levels.to_vec();
         let together = self.features_channel_cat.forward(Tensor::cat(levels(), 1));
         let x = together.clone() + self.to_latents.forward(together);
@@ -168,7 +168,7 @@ impl DepthHead {
     }
 
     /// The rays of the pixels of level `level`, `[4^level h w, c / 2^level]`.
-    pub fn encoded_rays(&self, scene: &Scene<'_>, level: usize) -> Tensor<2> {
+    pub fn encoded_rays(&self, scene: &DecoderInputs<'_>, level: usize) -> Tensor<2> {
         let [h, w] = scene.grid;
         let device = scene.positions.device();
         let rays = scene.rays.encoded(h << level, w << level, &device);
@@ -182,7 +182,7 @@ impl DepthHead {
     }
 
     /// `[1, 1, 14 h, 14 w]`.
-    pub fn forward(&self, scene: &Scene<'_>) -> Tensor<4> {
+    pub fn forward(&self, scene: &DecoderInputs<'_>) -> Tensor<4> {
         let [h, w] = scene.grid;
         let first = self.encoded_rays(scene, 0);
         let mut x = self.processed(self.latents(scene, first.clone()), &first);

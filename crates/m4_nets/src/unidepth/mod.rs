@@ -35,7 +35,7 @@ use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::{LayerNorm, Linear};
-use heads::{CameraHead, DepthHead, GlobalHead, Scene};
+use heads::{CameraHead, DecoderInputs, DepthHead, GlobalHead};
 use image::{Patches, Rays};
 use layers::Adapters;
 use m4_core::{Intrinsics, Plane, RgbImage};
@@ -189,7 +189,7 @@ impl Net {
             rays.encoded(h, w, &device).cast(dtype),
         );
         let [log_scale, offset] = few(global)?;
-        let logarithms = decoder.depth_layer.forward(&Scene {
+        let logarithms = decoder.depth_layer.forward(&DecoderInputs {
             levels: &levels,
             positions,
             rays: &rays,

@@ -65,7 +65,7 @@ fn parts_agree_with_the_module() {
     let levels = decoder.input_adapter.forward(levels);
     let heads = net.heads(input, patches).unwrap();
     let rays = Rays::of(&heads.camera);
-    let scene = Scene {
+    let scene = DecoderInputs {
         levels: &levels,
         positions: decoder.positions(patches.grid, &cpu()),
         rays: &rays,

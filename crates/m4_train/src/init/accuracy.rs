@@ -5,7 +5,7 @@ use crate::init::{
     assemble::{DynamicPart, dynamic_part},
     cloud::clouds,
     config::stopped,
-    lives::{Carrier, Clip, Span},
+    lives::{Carrier, LifeInputs, Span},
     motion::UNIT_WIDTH,
 };
 use m4_core::{Capture, Progress, Tracks, nalgebra::Vector3};
@@ -112,7 +112,7 @@ pub fn motion_errors(
         fields,
         ..
     } = dynamic_part(capture, config, &clouds, progress)?;
-    let clip = Clip {
+    let clip = LifeInputs {
         capture,
         frames: &frames,
         dynamic: &dynamic,
@@ -129,7 +129,7 @@ pub fn motion_errors(
 }
 
 /// Collects the samples of every point and keyframe of a window.
-fn window(clip: &Clip<'_>, span: &Span<'_>, truth: &Tracks) -> Samples {
+fn window(clip: &LifeInputs<'_>, span: &Span<'_>, truth: &Tracks) -> Samples {
     let deviations: Vec<Option<Vec<f32>>> = (0..span.times.len())
         .map(|key| {
             let width = span.observed[key].as_ref()?.width() as f32;
@@ -178,7 +178,7 @@ fn visible_place(truth: &Tracks, frame: usize, track: usize) -> Option<[f32; 3]>
 }
 
 /// Returns the colour of a dynamic surface that keyframe `at` shows at a place.
-fn colour(clip: &Clip<'_>, span: &Span<'_>, at: usize, p: [f32; 3]) -> Option<[f32; 3]> {
+fn colour(clip: &LifeInputs<'_>, span: &Span<'_>, at: usize, p: [f32; 3]) -> Option<[f32; 3]> {
     let observed = span.observed[at].as_ref()?;
     let projected = observed.project(&Vector3::from(p))?;
     let [x, y] = projected.at.map(f32::round);
@@ -195,7 +195,7 @@ fn colour(clip: &Clip<'_>, span: &Span<'_>, at: usize, p: [f32; 3]) -> Option<[f
 
 /// Collects the samples of one point of keyframe `at`, in colour `rgb`.
 fn point(
-    clip: &Clip<'_>,
+    clip: &LifeInputs<'_>,
     span: &Span<'_>,
     deviations: &[Option<Vec<f32>>],
     (at, track, rgb): (usize, usize, [f32; 3]),

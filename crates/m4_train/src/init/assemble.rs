@@ -5,8 +5,8 @@ use crate::init::{
     change::changes,
     cloud::{Clouds, Pixels, clouds},
     config::stopped,
-    lives::{Clip, Lives, lives},
-    motion::{Fields, KeyframeTracks, NODE_PIXELS, Paths, REACH_PIXELS, View, fields},
+    lives::{LifeInputs, Lives, lives},
+    motion::{Fields, KeyframeTracks, KeyframeView, NODE_PIXELS, Paths, REACH_PIXELS, fields},
     rows::{Parts, Tints, rows},
     shell::shell,
     surface::{Surface, surface},
@@ -110,7 +110,7 @@ pub fn initialise(
         3,
         &format!("{} static", static_points.xyz.len()),
     );
-    let clip = Clip {
+    let clip = LifeInputs {
         capture,
         frames: &frames,
         dynamic: &dynamic,
@@ -270,8 +270,8 @@ fn motions(
             let sees: Vec<_> = frames()
                 .map(|frame| move |p| is_visible(frame, p, HIDDEN_BEHIND))
                 .collect();
-            let keyframes: Vec<View<'_>> = (0..dynamic.len())
-                .map(|i| View {
+            let keyframes: Vec<KeyframeView<'_>> = (0..dynamic.len())
+                .map(|i| KeyframeView {
                     nodes: &coarse[i],
                     points: &dynamic[i].1,
                     sees: &sees[i],

@@ -126,7 +126,7 @@ pub(crate) fn clouds(
     const BATCH: usize = 8;
     for (b, batch) in with_depth.chunks(BATCH).enumerate() {
         stopped(progress)?;
-        let parts: Vec<Part> = batch
+        let parts: Vec<FramePixels> = batch
             .par_iter()
             .enumerate()
             .map(|(i, &frame)| {
@@ -182,7 +182,7 @@ fn camera_is_usable(frame: &CaptureFrame) -> bool {
 }
 
 /// What one frame contributes.
-struct Part {
+struct FramePixels {
     /// Static pixels that are points, where they are asked for.
     static_points: Option<CompactMask>,
     /// Dynamic pixels that are points; `None` without depth.
@@ -192,8 +192,8 @@ struct Part {
     focal_px: f64,
 }
 
-fn classify_pixels(frame: &CaptureFrame, config: &InitConfig, want_static: bool) -> Part {
-    let mut part = Part {
+fn classify_pixels(frame: &CaptureFrame, config: &InitConfig, want_static: bool) -> FramePixels {
+    let mut part = FramePixels {
         static_points: None,
         dynamic: None,
         depths: Vec::new(),

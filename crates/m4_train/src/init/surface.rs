@@ -47,7 +47,7 @@ pub(crate) fn surface(
     for at in outwards(pixels.len()) {
         stopped(progress)?;
         add(
-            &View::of(capture, &pixels[at]),
+            &FrameCamera::of(capture, &pixels[at]),
             &pixels[at].cloud(capture),
             &pixels[at],
             &mut sums,
@@ -71,7 +71,7 @@ fn outwards(n: usize) -> impl Iterator<Item = usize> {
     order.into_iter()
 }
 
-fn add(view: &View, cloud: &Cloud, pixels: &Pixels, sums: &mut Vec<Sum>) {
+fn add(view: &FrameCamera, cloud: &Cloud, pixels: &Pixels, sums: &mut Vec<Sum>) {
     let index = view.index(sums);
     let at: Vec<(usize, usize)> = pixels.mask.set_pixels().collect();
     let depth = |p: &[f32; 3]| view.camera.project(&Vector3::from(p.map(f64::from))).1 as f32;
@@ -97,12 +97,12 @@ fn add(view: &View, cloud: &Cloud, pixels: &Pixels, sums: &mut Vec<Sum>) {
 }
 
 /// A frame that points are taken from.
-struct View {
+struct FrameCamera {
     camera: Camera,
     size: (usize, usize),
 }
 
-impl View {
+impl FrameCamera {
     fn of(capture: &Capture, pixels: &Pixels) -> Self {
         let size = pixels.mask.size();
         Self {

@@ -3,7 +3,7 @@
 use m4_core::{Camera, CompactMask, DepthMap, Plane, Progress, RgbImage, Tracks};
 use m4_geometry::masks::{InstanceError, ObjectId, ObjectMask, ObjectPrompt, VideoSession};
 use m4_geometry::tracks::{CaptureClip, QueryGrid, TrackError};
-use m4_nets::sam2::{self, Clip as NetClip, Direction, VideoPredictor};
+use m4_nets::sam2::{self, Direction, VideoPredictor, VideoSize};
 use m4_nets::{
     ClipError, NetError, PointPrompt, PointQuery, Prompt, Sam2, Sam2Size, Tapip3d, Tapip3dOptions,
     tapip3d,
@@ -27,7 +27,7 @@ pub(super) fn sam2<'a>(
         Sam2Size::BasePlus => "sam2.1-base-plus",
         Sam2Size::Large => "sam2.1-large",
     };
-    let clip = NetClip {
+    let clip = VideoSize {
         frames: images.len(),
         width: size.0,
         height: size.1,

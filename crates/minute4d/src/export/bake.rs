@@ -27,7 +27,7 @@ pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {
     if !scene.mip || scene.source.is_empty() {
         return None;
     }
-    let mut views: Vec<View> = scene.source.iter().map(View::new).collect();
+    let mut views: Vec<SourceCamera> = scene.source.iter().map(SourceCamera::new).collect();
     views.sort_by(|a, b| a.t.total_cmp(&b.t));
     let factors: Vec<f64> = (0..scene.splats.n())
         .into_par_iter()
@@ -53,13 +53,13 @@ pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {
     Some((baked, loss))
 }
 
-struct View {
+struct SourceCamera {
     t: f64,
     camera: Pinhole<f64>,
     size_px: [f64; 2],
 }
 
-impl View {
+impl SourceCamera {
     fn new(frame: &m4_core::SourceFrame) -> Self {
         let k = &frame.camera.intrinsics;
         Self {
@@ -71,7 +71,7 @@ impl View {
 }
 
 /// What the filter leaves of the opacity of a splat, 0..1; 1 where no camera is in front of it.
-fn factor(scene: &Scene, views: &[View], row: usize) -> f64 {
+fn factor(scene: &Scene, views: &[SourceCamera], row: usize) -> f64 {
     let splats = &scene.splats;
     let value = |column, k, i: usize| f64::from(splats.column(column, k)[i]);
     let mean = Vector3::from_fn(|k, _| value(Column::Mean, k, row));
@@ -106,7 +106,7 @@ fn factor(scene: &Scene, views: &[View], row: usize) -> f64 {
 }
 
 /// The same of bound splat `i`, where nodes carry it.
-fn factor_of_bound(scene: &Scene, views: &[View], i: usize) -> f64 {
+fn factor_of_bound(scene: &Scene, views: &[SourceCamera], i: usize) -> f64 {
     let splats = &scene.splats;
     let covariance = variances(scene, splats.n_static() + i);
     mean_factor(
@@ -124,7 +124,7 @@ fn factor_of_bound(scene: &Scene, views: &[View], i: usize) -> f64 {
 }
 
 /// The views of a span of time; between two frames, or outside the clip, the next one.
-fn during(views: &[View], [begin, end]: [f64; 2]) -> &[View] {
+fn during(views: &[SourceCamera], [begin, end]: [f64; 2]) -> &[SourceCamera] {
     let first = views.partition_point(|v| v.t < begin);
     let end = views.partition_point(|v| v.t <= end);
     if first < end {
@@ -139,7 +139,7 @@ fn during(views: &[View], [begin, end]: [f64; 2]) -> &[View] {
 /// covariance and its weight.
 fn mean_factor(
     scene: &Scene,
-    views: &[View],
+    views: &[SourceCamera],
     at: impl Fn(f64) -> (Vector3<f64>, Matrix3<f64>, f64),
 ) -> f64 {
     let count = views.len().min(CAMERAS);

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 /// A part of a front end, as `--frontend` names it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Part {
+pub enum FrontendPart {
     /// Cameras, and the static part, by MegaSaM's tracking network; depth made consistent along
     /// flow.
     Megasam,
@@ -22,7 +22,7 @@ pub enum Part {
     DepthAnything,
 }
 
-impl Part {
+impl FrontendPart {
     /// Every part.
     pub const ALL: [Self; 6] = [
         Self::Megasam,
@@ -65,7 +65,7 @@ impl Part {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct Frontend {
-    parts: Vec<Part>,
+    parts: Vec<FrontendPart>,
 }
 
 /// Words that name no front end, or two parts for one task.
@@ -75,7 +75,7 @@ pub struct UnknownFrontend(String);
 
 impl Frontend {
     /// Of parts, which are put in order.
-    pub fn of(mut parts: Vec<Part>) -> Result<Self, UnknownFrontend> {
+    pub fn of(mut parts: Vec<FrontendPart>) -> Result<Self, UnknownFrontend> {
         parts.sort_unstable();
         for (k, a) in parts.iter().enumerate() {
             if let Some(b) = parts[k + 1..].iter().find(|b| b.task() == a.task()) {
@@ -92,13 +92,13 @@ impl Frontend {
     #[cfg(not(feature = "nets"))]
     pub(crate) fn classical() -> Self {
         Self {
-            parts: vec![Part::Classical],
+            parts: vec![FrontendPart::Classical],
         }
     }
 
     /// The parts, in order.
     #[cfg(feature = "nets")]
-    pub(crate) fn parts(&self) -> &[Part] {
+    pub(crate) fn parts(&self) -> &[FrontendPart] {
         &self.parts
     }
 
@@ -108,7 +108,7 @@ impl Frontend {
     }
 
     /// True if `part` was named.
-    pub fn has(&self, part: Part) -> bool {
+    pub fn has(&self, part: FrontendPart) -> bool {
         self.parts.contains(&part)
     }
 }
@@ -131,9 +131,9 @@ impl FromStr for Frontend {
             return Ok(Self::default());
         }
         let part = |word: &str| {
-            let part = Part::ALL.into_iter().find(|p| p.name() == word);
+            let part = FrontendPart::ALL.into_iter().find(|p| p.name() == word);
             part.ok_or_else(|| {
-                let names = Part::ALL.map(Part::name).join(", ");
+                let names = FrontendPart::ALL.map(FrontendPart::name).join(", ");
                 UnknownFrontend(format!(
                     "there is no front end `{word}`; parts are auto (alone), {names}, joined by `+`"
                 ))
@@ -159,7 +159,7 @@ impl TryFrom<String> for Frontend {
 
 #[cfg(test)]
 mod tests {
-    use super::{Frontend, Part};
+    use super::{Frontend, FrontendPart};
 
     #[test]
     fn words_are_front_ends() {
@@ -167,7 +167,7 @@ mod tests {
         assert!(named("auto").unwrap().is_auto());
         assert_eq!(
             named("raft+moge").unwrap(),
-            Frontend::of(vec![Part::Moge, Part::Raft]).unwrap()
+            Frontend::of(vec![FrontendPart::Moge, FrontendPart::Raft]).unwrap()
         );
         for text in [
             "auto",

@@ -9,7 +9,7 @@ mod page;
 mod ranges;
 mod train;
 
-pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend};
+pub use frontend::{Frontend, FrontendPart, UnknownFrontend};
 pub use geometry::{EnhanceConfig, GeometryOptions, Segmenter, Tapip3dConfig, Tracker};
 pub use layers::{Layers, SettingsError};
 pub use output::{CheckpointConfig, LimitConfig, PreviewConfig, ViewerConfig};

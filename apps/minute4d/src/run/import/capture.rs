@@ -45,7 +45,7 @@ pub struct CaptureReport {
 
 /// The settings in the record of the capture.
 #[derive(Serialize)]
-struct Part<'a> {
+struct Dependencies<'a> {
     import: &'a ImportOptions,
     format: SourceFormat,
 }
@@ -68,7 +68,7 @@ pub(super) fn make(
         check_megasam(&options)?;
     }
     let imported = m4_io::dataset::read(file, format, &options, &keeper).map_err(source_stopped)?;
-    let settings = plain_json(&Part {
+    let settings = plain_json(&Dependencies {
         import: &options,
         format,
     })?;

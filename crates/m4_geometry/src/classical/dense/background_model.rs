@@ -58,7 +58,7 @@ const PRIOR: f32 = 0.3;
 const SMOOTH_LAMBDA: f32 = 40.0;
 
 /// Everything that the plates are made of.
-pub(super) struct Scene<'a> {
+pub(super) struct BackgroundInputs<'a> {
     pub width: usize,
     pub height: usize,
     /// Whether the camera moves from its place.
@@ -82,7 +82,7 @@ struct Background {
 
 /// The background of every pixel of `zone` (above 0), `[height][width]`; `None` where too few
 /// frames saw it.
-fn backgrounds(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<Background>> {
+fn backgrounds(scene: &BackgroundInputs<'_>, i: usize, zone: &[u8]) -> Vec<Option<Background>> {
     let w = scene.width;
     let count = scene.cameras.len();
     let pairs = |frames: Vec<usize>| -> Vec<(usize, Pair)> {
@@ -132,7 +132,7 @@ fn backgrounds(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<Backgroun
         .collect()
 }
 
-impl Scene<'_> {
+impl BackgroundInputs<'_> {
     /// The colour of frame `j` at a place, pixels; `None` outside of the image and, unless `masked`
     /// pixels count, where something may move.
     fn colour(&self, j: usize, x: f32, y: f32, masked: bool) -> Option<[f32; 3]> {
@@ -196,7 +196,7 @@ fn median(values: impl Iterator<Item = f32>) -> f32 {
 
 /// Evidence of motion a pixel, above 0 for moving; `None` where no background is known.
 fn evidence(
-    scene: &Scene<'_>,
+    scene: &BackgroundInputs<'_>,
     i: usize,
     before: &[u8],
     background: &[Option<Background>],
@@ -230,7 +230,12 @@ fn evidence(
 }
 
 /// The mask of a frame, from `before` (its mask so far) and the background.
-pub(super) fn sharpen(scene: &Scene<'_>, i: usize, before: &[u8], smoother: &Smoother) -> Vec<u8> {
+pub(super) fn sharpen(
+    scene: &BackgroundInputs<'_>,
+    i: usize,
+    before: &[u8],
+    smoother: &Smoother,
+) -> Vec<u8> {
     let (w, h) = (scene.width, scene.height);
     let background = backgrounds(scene, i, &dilated(&scene.near[i], w, h, MARGIN_PX));
     let mut weight = vec![PRIOR; w * h];
@@ -319,8 +324,8 @@ pub(super) fn difference_evidence(usual: &[[u8; 3]], frame: &ScaledFrame) -> Vec
 #[cfg(test)]
 mod tests {
     use super::{
-        ScaledFrame, Scene, Shot, Smoother, backgrounds, difference_evidence, dilated, evidence,
-        median_colours, recurring, sharpen,
+        BackgroundInputs, ScaledFrame, Shot, Smoother, backgrounds, difference_evidence, dilated,
+        evidence, median_colours, recurring, sharpen,
     };
     use crate::FrameRate;
     use m4_core::{
@@ -463,8 +468,8 @@ mod tests {
         shots: &'a [Shot],
         background: &'a [Vec<f32>],
         near: &'a [Vec<u8>],
-    ) -> Scene<'a> {
-        Scene {
+    ) -> BackgroundInputs<'a> {
+        BackgroundInputs {
             width: W,
             height: H,
             parallax: true,

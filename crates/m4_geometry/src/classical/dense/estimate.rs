@@ -6,7 +6,7 @@ use super::motion::{MotionCues, verdicts};
 use super::motion_segmentation::{self, MotionSegmentation};
 use super::shot::{Shot, sparse_points};
 use super::sources::{DenseConfig, DenseError, Sources};
-use super::working::{Clip, Ground, each, mask_at_size, try_each};
+use super::working::{Ground, WorkingClip, each, mask_at_size, try_each};
 use super::{layers, moving_depth, rigid_objects, static_depth, tracks};
 use crate::FrameRate;
 use crate::classical::{CameraMotion, SparseReconstruction, check_count};
@@ -108,7 +108,7 @@ pub fn estimate(
         background: still.then(|| median_colours(&working)),
     };
     drop(working);
-    let clip = motion_segmentation::Clip {
+    let clip = motion_segmentation::Segmentation {
         width: w,
         height: h,
         parallax,
@@ -128,7 +128,7 @@ pub fn estimate(
         filled,
         refined,
     } = clip.segment_motion(swept, input_masks)?;
-    let scene = Clip {
+    let scene = WorkingClip {
         width: w,
         height: h,
         rate,
@@ -161,7 +161,7 @@ pub fn estimate(
         }
         mono.overrule(i, &mut disparity[i]);
     }
-    let scene = Clip {
+    let scene = WorkingClip {
         disparity: &disparity,
         ..scene
     };

@@ -30,7 +30,7 @@ const FILL_SIGMA: f32 = 8.0;
 pub(super) type Masks = Vec<Vec<u8>>;
 
 /// A clip whose depth was swept. Lists are by frame, planes `[height][width]` at the working size.
-pub(super) struct Clip<'a> {
+pub(super) struct Segmentation<'a> {
     pub width: usize,
     pub height: usize,
     /// Whether depth can be measured at all.
@@ -61,7 +61,7 @@ fn of(masks: Option<&[Vec<u8>]>, i: usize) -> Option<&[u8]> {
     masks.map(|masks| masks[i].as_slice())
 }
 
-impl Clip<'_> {
+impl Segmentation<'_> {
     /// Segments dynamic regions by the disparities that were `swept`, or takes the masks of the
     /// user.
     pub fn segment_motion(
@@ -334,7 +334,7 @@ impl Clip<'_> {
         near: &[Vec<u8>],
         background: &[Vec<f32>],
     ) -> Result<Masks, DenseError> {
-        let scene = background_model::Scene {
+        let scene = background_model::BackgroundInputs {
             width: self.width,
             height: self.height,
             parallax: self.parallax,

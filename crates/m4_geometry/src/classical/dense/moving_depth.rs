@@ -3,7 +3,7 @@
 
 use super::regions::Components;
 use super::temporal;
-use super::working::Clip;
+use super::working::WorkingClip;
 use m4_core::quantile;
 use rayon::prelude::*;
 
@@ -28,7 +28,7 @@ pub(super) const HIDDEN_QUANTILE: f64 = 0.98;
 ///
 /// Means over time along the flow, forwards and backwards in time with the same decay, so that
 /// parts neither jump nor lag.
-pub(super) fn place(clip: &Clip<'_>) -> Vec<Vec<f32>> {
+pub(super) fn place(clip: &WorkingClip<'_>) -> Vec<Vec<f32>> {
     // Both readings are lower bounds of disparity, exact only while a part touches the scene: along
     // time the greater ones say more, so means are taken of a power.
     let touched: Vec<Vec<f32>> = (clip.dynamic.par_iter().zip(clip.disparity))
@@ -100,7 +100,7 @@ fn touch(width: usize, height: usize, dynamic: &[u8], background: &[f32]) -> Vec
 
 #[cfg(test)]
 mod tests {
-    use super::Clip;
+    use super::WorkingClip;
     use crate::FrameRate;
     use crate::flow::FlowPair;
     use m4_core::Flow;
@@ -123,7 +123,7 @@ mod tests {
     }
 
     fn place(dynamic: &[Vec<u8>], disparity: &[Vec<f32>], flows: &[FlowPair]) -> Vec<Vec<f32>> {
-        super::place(&Clip {
+        super::place(&WorkingClip {
             width: W,
             height: H,
             rate: FrameRate::FILM,

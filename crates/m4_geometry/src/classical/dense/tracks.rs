@@ -15,16 +15,17 @@
 //! [`m4_core::Camera::unproject`] has them.
 
 use super::sources::DenseError;
-use super::working::Clip;
+use super::working::WorkingClip;
 use crate::flow::FlowPair;
 use crate::tracks::{
-    QueryGrid, Scene, Sparse, Strip, TrackError, board_of, fill, followed, on_grid, sparse_flow,
+    QueryGrid, Sparse, Strip, TrackError, TrackInputs, board_of, fill, followed, on_grid,
+    sparse_flow,
 };
 use m4_core::{Plane, Progress, Tracks};
 
 /// Tracks of everything that moves; `None` if nothing could be followed.
 pub(super) fn tracks(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     grid: &QueryGrid,
     progress: &dyn Progress,
 ) -> Result<Option<Tracks>, DenseError> {
@@ -39,7 +40,7 @@ pub(super) fn tracks(
         Ok(Plane::from_fn(clip.width, clip.height, depth))
     };
     fill(
-        &Scene {
+        &TrackInputs {
             strip: &strip,
             surface: &surface,
         },
@@ -54,7 +55,7 @@ pub(super) fn tracks(
 }
 
 /// What is kept of the clip.
-fn strip(clip: &Clip<'_>) -> Strip {
+fn strip(clip: &WorkingClip<'_>) -> Strip {
     let (w, h) = (clip.width, clip.height);
     let moves = |frame: usize, i: usize| clip.dynamic[frame][i] > 0;
     let dynamic =
@@ -81,7 +82,7 @@ fn strip(clip: &Clip<'_>) -> Strip {
 mod tests {
     //! A square that flies past a moving camera, with the flow that it makes.
 
-    use super::{Clip, FlowPair, board_of, followed, on_grid, strip};
+    use super::{FlowPair, WorkingClip, board_of, followed, on_grid, strip};
     use crate::classical::dense::working::ClipData;
     use crate::tracks::QueryGrid;
     use m4_core::{Camera, CounterRng, Flow, Intrinsics, Se3, Silent, Tracks};
@@ -247,7 +248,7 @@ mod tests {
             most: 10,
             ..QueryGrid::chains()
         };
-        let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &Silent).unwrap();
+        let few = |clip: &WorkingClip<'_>| super::tracks(clip, &grid, &Silent).unwrap();
         assert_eq!(few(&still.clip()), None);
         let mut clip = clip_data(0.0);
         assert_eq!(few(&clip.clip()).unwrap().count(), 10);

@@ -19,7 +19,7 @@ const LEAST_FRAME_SIDE: usize = 32;
 
 /// A clip with masks, disparity and flow; lists are by frame, planes `[height][width]` at the
 /// working size.
-pub(super) struct Clip<'a> {
+pub(super) struct WorkingClip<'a> {
     pub width: usize,
     pub height: usize,
     pub rate: FrameRate,
@@ -44,7 +44,7 @@ pub(super) struct ClipData {
 
 #[cfg(test)]
 impl ClipData {
-    pub fn clip(&self) -> Clip<'_> {
+    pub fn clip(&self) -> WorkingClip<'_> {
         let (width, height) = self.size;
         let Self {
             cameras,
@@ -53,7 +53,7 @@ impl ClipData {
             flows,
             ..
         } = self;
-        Clip {
+        WorkingClip {
             width,
             height,
             rate: FrameRate::FILM,

@@ -3,7 +3,7 @@
 
 use super::map::{Map, classify, median_far_error};
 use super::priors::{Lenses, Recovered};
-use super::reconstruct::Clip;
+use super::reconstruct::SparseProblem;
 use super::rotation::{MIN_TRACKS, matches, nearest_rotation, ray, turn};
 use super::tracking::RawTrack;
 use super::zoom::{Aim, MOST_PX, Zooming, range, zooming};
@@ -179,7 +179,7 @@ fn through(tracks: &[RawTrack], aims: &[Aim], focal: f64) -> Vec<RawTrack> {
     tracks.iter().map(one).collect()
 }
 
-impl Clip<'_> {
+impl SparseProblem<'_> {
     /// How the lens zooms, if turns and zooms alone explain the tracks.
     pub(super) fn zoom(&self, focals: &[f64]) -> Result<Option<Zoom>, SparseError> {
         stopped(self.progress)?;

@@ -4,7 +4,7 @@
 use super::bundle::{BundleOptions, BundleReport};
 use super::map::{Map, ROUNDS, classify};
 use super::priors::{FocalSource, Recovered};
-use super::reconstruct::Clip;
+use super::reconstruct::SparseProblem;
 use super::rotation::{keyframes, matches, turn};
 use super::two_view::{Match, TwoView, relate};
 use super::{INLIER_PX, SparseError, stopped};
@@ -53,7 +53,7 @@ struct Start {
     view: TwoView,
 }
 
-impl Clip<'_> {
+impl SparseProblem<'_> {
     /// Poses, focal length and points; [`SparseError::NoAgreement`] where no pair of frames gives a
     /// start that carries.
     pub(super) fn moving(

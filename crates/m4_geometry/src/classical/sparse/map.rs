@@ -5,7 +5,7 @@ use super::INLIER_PX;
 use super::bundle::{Bundle, BundleOptions, BundleReport, Observation};
 use super::rotation::{Limits, ray, spread};
 use super::tracking::RawTrack;
-use super::triangulate::{Sighting, View, descend, error_px, resect, triangulate};
+use super::triangulate::{Ray, Sighting, descend, error_px, resect, triangulate};
 use crate::classical::Motion;
 use m4_core::nalgebra::Vector3;
 use m4_core::{Progress, Se3, exp_so3, log_so3, median};
@@ -43,7 +43,7 @@ impl Map {
     }
 
     /// The rays of a track from cameras with a pose.
-    pub fn views(&self, track: &RawTrack) -> Vec<View> {
+    pub fn views(&self, track: &RawTrack) -> Vec<Ray> {
         (track.first..track.end())
             .filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?)))
             .collect()
@@ -252,7 +252,7 @@ impl Map {
     pub fn errors(&self, track: &RawTrack, point: &Vector3<f64>) -> Vec<f64> {
         let views = self.views(track);
         let error =
-            |(pose, at): &View| error_px(pose, point, self.focal, *at).unwrap_or(f64::INFINITY);
+            |(pose, at): &Ray| error_px(pose, point, self.focal, *at).unwrap_or(f64::INFINITY);
         views.iter().map(error).collect()
     }
 

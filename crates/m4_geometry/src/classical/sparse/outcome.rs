@@ -2,13 +2,13 @@
 
 use super::bundle::BundleReport;
 use super::map::Map;
-use super::reconstruct::Clip;
+use super::reconstruct::SparseProblem;
 use super::tracking::RawTrack;
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_core::advice::FIELD_OF_VIEW;
 use m4_core::{Camera, Intrinsics, Se3, median};
 
-impl Clip<'_> {
+impl SparseProblem<'_> {
     /// Says what is doubtful, with numbers; the standard deviation of the logarithm of the focal
     /// length.
     pub(super) fn judge(

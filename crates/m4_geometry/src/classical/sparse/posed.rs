@@ -5,7 +5,7 @@ use super::bundle::BundleReport;
 use super::growth::MIN_POINTS;
 use super::map::{Map, ROUNDS, classify, median_far_error};
 use super::priors::{FocalSource, Lenses, Recovered};
-use super::reconstruct::{Clip, FeatureTracks};
+use super::reconstruct::{FeatureTracks, SparseProblem};
 use super::rotation::sway;
 use super::{INLIER_PX, SparseConfig, SparseError, stopped};
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, check_count};
@@ -59,11 +59,11 @@ impl FeatureTracks {
             return Err(SparseError::Input(what));
         }
         let lenses = Lenses(cameras.iter().map(|c| c.intrinsics).collect());
-        Clip::new(self.clone(), masks, lenses, config, progress).posed(cameras)
+        SparseProblem::new(self.clone(), masks, lenses, config, progress).posed(cameras)
     }
 }
 
-impl Clip<'_> {
+impl SparseProblem<'_> {
     fn posed(&mut self, cameras: &[Camera]) -> Result<Recovered, SparseError> {
         let focal = cameras
             .iter()
@@ -155,7 +155,8 @@ impl Clip<'_> {
             size: [self.width, self.height],
             working: self.size,
         };
-        let mut free = Clip::new(features, None, Lenses(Vec::new()), &config, self.progress);
+        let mut free =
+            SparseProblem::new(features, None, Lenses(Vec::new()), &config, self.progress);
         free.quiet = true;
         let suggestion = match free.solve() {
             Ok(result) if result.sparse.camera_motion == CameraMotion::Parallax => result.sparse,

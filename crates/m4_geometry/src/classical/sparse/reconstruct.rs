@@ -41,7 +41,7 @@ pub(super) fn from_tracks(
         cy,
     });
     let lenses = Lenses(lens.into_iter().collect());
-    let mut clip = Clip::new(features, masks, lenses, config, progress);
+    let mut clip = SparseProblem::new(features, masks, lenses, config, progress);
     if let Some(focal) = clip.given_focal() {
         clip.undo_lenses(focal);
     }
@@ -94,7 +94,7 @@ fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), 
 }
 
 /// A tracked clip on its way to a reconstruction.
-pub(super) struct Clip<'a> {
+pub(super) struct SparseProblem<'a> {
     pub(super) tracks: Vec<RawTrack>,
     /// Those that lie in given masks.
     pub(super) masked: Vec<RawTrack>,
@@ -112,7 +112,7 @@ pub(super) struct Clip<'a> {
     pub(super) quiet: bool,
 }
 
-impl<'a> Clip<'a> {
+impl<'a> SparseProblem<'a> {
     pub(super) fn new(
         features: FeatureTracks,
         masks: Option<&[Mask]>,

@@ -7,7 +7,7 @@ use m4_core::nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use m4_core::{Se3, median};
 
 /// A ray: world-to-camera pose and pixels from the image centre.
-pub(crate) type View = (Se3<f64>, [f64; 2]);
+pub(crate) type Ray = (Se3<f64>, [f64; 2]);
 
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Triangulated {
@@ -22,7 +22,7 @@ pub(crate) struct Triangulated {
 /// The point nearest to all rays, refined on the Cauchy loss of its reprojection errors.
 ///
 /// `None` for fewer than two views, parallel rays, or a point that is behind one of the cameras.
-pub(crate) fn triangulate(views: &[View], focal: f64, cauchy_px: f64) -> Option<Triangulated> {
+pub(crate) fn triangulate(views: &[Ray], focal: f64, cauchy_px: f64) -> Option<Triangulated> {
     if views.len() < 2 {
         return None;
     }
@@ -56,7 +56,7 @@ pub(crate) fn triangulate(views: &[View], focal: f64, cauchy_px: f64) -> Option<
 }
 
 /// Linear least squares on the distances to the rays.
-fn nearest_to_rays(views: &[View], focal: f64) -> Option<Vector3<f64>> {
+fn nearest_to_rays(views: &[Ray], focal: f64) -> Option<Vector3<f64>> {
     let (mut a, mut b) = (Matrix3::zeros(), Vector3::zeros());
     for (pose, at) in views {
         let direction = pose
@@ -73,7 +73,7 @@ fn nearest_to_rays(views: &[View], focal: f64) -> Option<Vector3<f64>> {
 }
 
 /// Greatest angle at `point` between up to eight of the views, radians.
-fn widest_angle(views: &[View], point: &Vector3<f64>) -> f64 {
+fn widest_angle(views: &[Ray], point: &Vector3<f64>) -> f64 {
     let step = views.len().div_ceil(8).max(1);
     let rays: Vec<Vector3<f64>> = views
         .iter()

@@ -28,7 +28,9 @@ pub use correspondence::{
 };
 pub use frontend::{Frontend, Submitted};
 pub use keyframes::{FrameInput, Keyframes};
-pub use track::{Clip, PUBLISHED_TIME_GUARD, Tracked, fill, interpolate_pose, neighbours, track};
+pub use track::{
+    PUBLISHED_TIME_GUARD, Tracked, TrackerInput, fill, interpolate_pose, neighbours, track,
+};
 
 /// Share of the full motion in the distance of frames: 0.3.
 const BETA: f64 = 0.3;

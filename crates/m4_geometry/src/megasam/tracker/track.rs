@@ -15,7 +15,7 @@ const PROBE_ALPHA: f64 = 1e-5;
 
 /// What a clip looks like to the tracker.
 #[derive(Debug, Clone, Copy)]
-pub struct Clip<'a> {
+pub struct TrackerInput<'a> {
     /// Size of all planes.
     pub grid: Grid,
     /// First guess.
@@ -59,7 +59,7 @@ impl Tracked {
 /// [`TrackerError`] for too few frames, frames out of order, failing correspondences, a useless
 /// state, or when the user stops.
 pub fn track(
-    clip: &Clip<'_>,
+    clip: &TrackerInput<'_>,
     source: &mut dyn Correspondence,
     settings: &TrackerSettings,
     progress: &dyn Progress,
@@ -117,7 +117,7 @@ pub fn track(
     })
 }
 
-fn check(clip: &Clip<'_>) -> Result<(), TrackerError> {
+fn check(clip: &TrackerInput<'_>) -> Result<(), TrackerError> {
     check_count(clip.frames.len())?;
     for pair in clip.frames.windows(2) {
         // written so that a NaN fails

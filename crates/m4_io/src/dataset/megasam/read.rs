@@ -16,7 +16,7 @@ const HINT: &str = "give the files that MegaSaM wrote";
 
 /// The number of frames, and their width and height.
 #[derive(Clone, Copy)]
-struct Clip {
+struct ClipSize {
     frames: usize,
     size: (usize, usize),
 }
@@ -119,7 +119,7 @@ impl Input {
     }
 
     /// The size of the clip by the shape of the images; refuses what would not fit into memory.
-    fn clip(&mut self) -> Result<Clip, Fault> {
+    fn clip(&mut self) -> Result<ClipSize, Fault> {
         let planar = matches!(self.from, Storage::Folder(_));
         let limit_bytes = self.limit_bytes;
         let images = self.array("images")?;
@@ -132,7 +132,7 @@ impl Input {
         }
         let clip = match (images.shape.as_slice(), planar) {
             (&[frames, h, w, 3], false) | (&[frames, 3, h, w], true) if frames * h * w > 0 => {
-                Clip {
+                ClipSize {
                     frames,
                     size: (w, h),
                 }
@@ -152,7 +152,7 @@ impl Input {
     }
 
     /// One lens, and matrices camera to world.
-    fn matrices(&mut self, clip: Clip) -> Result<Vec<(Intrinsics, Se3<f64>)>, Fault> {
+    fn matrices(&mut self, clip: ClipSize) -> Result<Vec<(Intrinsics, Se3<f64>)>, Fault> {
         let k = self.all("intrinsic", &[3, 3], "one matrix")?;
         let zeros = [k[1], k[3], k[6], k[7]];
         if k[8] != 1.0
@@ -181,7 +181,7 @@ impl Input {
     }
 
     /// A lens per frame, and translations with quaternions world to camera.
-    fn quaternions(&mut self, clip: Clip) -> Result<Vec<(Intrinsics, Se3<f64>)>, Fault> {
+    fn quaternions(&mut self, clip: ClipSize) -> Result<Vec<(Intrinsics, Se3<f64>)>, Fault> {
         let is = "fx fy cx cy for each of the frames of `images`";
         let k = self.all("intrinsics", &[clip.frames, 4], is)?;
         let is = "tx ty tz qx qy qz qw for each of the frames of `images`";
@@ -202,7 +202,7 @@ impl Input {
             .collect()
     }
 
-    fn images(&mut self, clip: Clip, progress: &dyn Progress) -> Result<Vec<RgbImage>, Fault> {
+    fn images(&mut self, clip: ClipSize, progress: &dyn Progress) -> Result<Vec<RgbImage>, Fault> {
         let (w, h) = clip.size;
         let planar = matches!(self.from, Storage::Folder(_));
         let mut array = self.array("images")?;
@@ -227,7 +227,7 @@ impl Input {
     fn depths(
         &mut self,
         path: &Path,
-        clip: Clip,
+        clip: ClipSize,
         progress: &dyn Progress,
     ) -> Result<Vec<DepthMap>, Fault> {
         let folder = matches!(self.from, Storage::Folder(_));
@@ -282,7 +282,7 @@ type Motion = (CompactMask, Plane<u8>);
 /// Masks by the motion map; `None` where there is no map.
 fn masks(
     path: &Path,
-    clip: Clip,
+    clip: ClipSize,
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Option<Vec<Motion>>, ReadError> {
@@ -322,7 +322,7 @@ fn masks(
 }
 
 /// Width and height of the motion map: an eighth of the image, or all of it.
-fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), Fault> {
+fn map_size(array: &Array<'_>, clip: ClipSize) -> Result<(usize, usize), Fault> {
     let (w, h) = clip.size;
     let small = (w / BLOCK, h / BLOCK);
     let size = match array.shape.as_slice() {
@@ -379,7 +379,12 @@ fn check_floats(name: &str, array: &Array<'_>) -> Result<(), Fault> {
 
 /// The pinhole of `fx fy cx cy`, pixels; principal points are measured from the image's corner (see
 /// [the module](super)).
-fn pinhole(numbers: [f64; 4], clip: Clip, array: &str, frame: usize) -> Result<Intrinsics, Fault> {
+fn pinhole(
+    numbers: [f64; 4],
+    clip: ClipSize,
+    array: &str,
+    frame: usize,
+) -> Result<Intrinsics, Fault> {
     let lens = files::pinhole(numbers, clip.size);
     match range::of_lens(&lens) {
         Some(what) => Err(Fault::bad(

@@ -78,7 +78,7 @@ impl Frame {
 }
 
 /// One component in a scan: its place in the frame and its tables.
-struct Part<'a> {
+struct ScanComponent<'a> {
     component: usize,
     dc: Option<&'a Codes>,
     ac: Option<&'a Codes>,
@@ -86,7 +86,7 @@ struct Part<'a> {
 
 /// A scan header.
 pub(super) struct Scan<'a> {
-    parts: Vec<Part<'a>>,
+    parts: Vec<ScanComponent<'a>>,
     /// First and last coefficient.
     band: (u32, u32),
     /// It refines coefficients that an earlier scan had.
@@ -118,13 +118,13 @@ impl<'a> Scan<'a> {
                     .and_then(Option::as_ref)
             };
             let component = frame.components.iter().position(|c| c.id == id)?;
-            Some(Part {
+            Some(ScanComponent {
                 component,
                 dc: of(0, tables >> 4),
                 ac: of(1, tables & 15),
             })
         };
-        let parts: Option<Vec<Part<'_>>> = named.as_chunks().0.iter().map(part).collect();
+        let parts: Option<Vec<ScanComponent<'_>>> = named.as_chunks().0.iter().map(part).collect();
         let parts = parts
             .filter(|parts| (1..=4).contains(&parts.len()))
             .ok_or_else(damaged)?;
@@ -193,7 +193,7 @@ impl<'a> Scan<'a> {
     fn progressive(
         &self,
         bits: &mut Bits<'_>,
-        part: &Part<'_>,
+        part: &ScanComponent<'_>,
         nonzero: &mut u64,
         run: &mut u32,
     ) -> Result<(), String> {
@@ -252,7 +252,7 @@ impl<'a> Scan<'a> {
 const TOO_MANY: &str = "a block has more than 64 coefficients";
 
 /// A block of a sequential scan (F.2.2).
-fn baseline(bits: &mut Bits<'_>, part: &Part<'_>) -> Result<(), String> {
+fn baseline(bits: &mut Bits<'_>, part: &ScanComponent<'_>) -> Result<(), String> {
     let (dc, ac) = (part.dc.ok_or(NO_TABLE)?, part.ac.ok_or(NO_TABLE)?);
     let size = bits.symbol(dc)?;
     bits.skip(u32::from(size))?;

@@ -2,7 +2,7 @@
 //! initial view for viewers, and the properties of a scene without a field in the format as our own
 //! metadata record.
 
-use super::convert::Clip;
+use super::convert::ClipTime;
 use crate::scene::{Loss, usable};
 use ::fourdgs::provenance::Provenance;
 use ::fourdgs::records::{POSE_TO_RIG, POSE_TO_SCENE, TRAJECTORY_LINEAR};
@@ -27,12 +27,12 @@ const AXES: [[f64; 3]; 6] = [
     [0.0, 0.0, -1.0],
 ];
 
-fn seconds(frame: &SourceFrame, clip: &Clip) -> f64 {
+fn seconds(frame: &SourceFrame, clip: &ClipTime) -> f64 {
     frame.t * clip.step_s
 }
 
 /// Where the cameras were, and which way is up.
-pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) {
+pub(super) fn provenance(scene: &Scene, clip: &ClipTime) -> (Provenance, Vec<Loss>) {
     let world = CoordinateFrame {
         name: NAME.to_owned(),
         handedness: RIGHT_HANDED,
@@ -109,7 +109,7 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
 }
 
 /// The way of the cameras as a player may follow it; it starts in the middle of the clip.
-pub(super) fn view(scene: &Scene, clip: &Clip) -> Option<View> {
+pub(super) fn view(scene: &Scene, clip: &ClipTime) -> Option<View> {
     let middle = scene.source.get(scene.source.len() / 2)?;
     let distance = median_depth(scene, &middle.camera);
     let target =
@@ -148,7 +148,7 @@ fn median_depth(scene: &Scene, camera: &Camera) -> f64 {
 /// The cameras of a file: those of its first pinhole sensor, one per pose of its rig.
 pub(super) fn source(
     provenance: &Provenance,
-    clip: &Clip,
+    clip: &ClipTime,
     losses: &mut Vec<Loss>,
 ) -> Vec<SourceFrame> {
     let Some(sensor) = provenance.sensors.iter().find(|s| s.is_camera()) else {

@@ -23,14 +23,14 @@ const LEAST_SCALE: f32 = 1e-30;
 
 /// A clip: how frames and seconds go together.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Clip {
+pub(super) struct ClipTime {
     /// Seconds per frame.
     pub step_s: f64,
     /// Frames.
     pub frames: usize,
 }
 
-impl Clip {
+impl ClipTime {
     /// Seconds from the first frame to the end of the last, as the container keeps it.
     pub fn duration_s(&self) -> f32 {
         (self.step_s * self.frames as f64) as f32
@@ -38,7 +38,7 @@ impl Clip {
 }
 
 /// The columns of the container. `splats` have no harmonics of time.
-pub(super) fn to_set(splats: &Splats, clip: &Clip) -> (GaussianSet, Vec<Loss>) {
+pub(super) fn to_set(splats: &Splats, clip: &ClipTime) -> (GaussianSet, Vec<Loss>) {
     let layout = splats.layout();
     let n = splats.n();
     let coefficients = layout.sh_terms() - 1;
@@ -107,7 +107,7 @@ pub(super) fn to_set(splats: &Splats, clip: &Clip) -> (GaussianSet, Vec<Loss>) {
 /// that is not a finite number.
 pub(super) fn from_set(
     set: &GaussianSet,
-    clip: &Clip,
+    clip: &ClipTime,
     cutoff: f64,
 ) -> Result<(Splats, Vec<Loss>), String> {
     let n = set.count();

@@ -32,7 +32,7 @@ use crate::WriteError;
 use ::fourdgs::quantization::{Bounds, Profile};
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
 use ::fourdgs::{GaussianSet, SceneExtras, WriteOptions, write_to_vec};
-use convert::{Clip, to_set, verify};
+use convert::{ClipTime, to_set, verify};
 use m4_core::Scene;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -59,7 +59,7 @@ pub fn encode(path: &Path, scene: &Scene) -> Result<(Vec<u8>, Vec<Loss>), WriteE
     check_finite(path, scene)?;
     check_unbound(path, &scene.splats)?;
     let clock = Clock::of(scene);
-    let clip = Clip {
+    let clip = ClipTime {
         step_s: clock.step_s,
         frames: scene.time_frames.max(1),
     };

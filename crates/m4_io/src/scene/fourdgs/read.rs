@@ -2,7 +2,7 @@
 
 use super::cameras;
 use super::cameras::{MAX_FRAMES, Notes};
-use super::convert::{Clip, from_set};
+use super::convert::{ClipTime, from_set};
 use crate::error::AtPath;
 use crate::files;
 use crate::scene::valid::fault;
@@ -101,7 +101,7 @@ fn scene_of(bytes: &[u8]) -> Result<Imported, Fault> {
 }
 
 /// Frames and their length: those of our own writer, else 30 per second.
-fn clip(duration_s: f64, facts: &Notes) -> Option<Clip> {
+fn clip(duration_s: f64, facts: &Notes) -> Option<ClipTime> {
     if !(duration_s.is_finite() && duration_s >= 0.0) {
         return None;
     }
@@ -112,10 +112,10 @@ fn clip(duration_s: f64, facts: &Notes) -> Option<Clip> {
             Some(s) if s > 0.0 && steps > 0.0 => s / steps,
             _ => assumed,
         };
-        return Some(Clip { step_s, frames });
+        return Some(ClipTime { step_s, frames });
     }
     let frames = (duration_s * DEFAULT_FPS).round();
-    (frames <= MAX_FRAMES as f64).then(|| Clip {
+    (frames <= MAX_FRAMES as f64).then(|| ClipTime {
         step_s: assumed,
         frames: (frames as usize).max(1),
     })

@@ -189,7 +189,7 @@ fn changed_values_fail_verification() {
     let scene = scene(1, 0, false);
     let (bytes, _) = encode(name(), &scene).unwrap();
     let mut file = ::fourdgs::read_bytes(&bytes).unwrap();
-    let clip = super::convert::Clip {
+    let clip = super::convert::ClipTime {
         step_s: 1.25 / 30.0,
         frames: 31,
     };

@@ -61,13 +61,13 @@ impl Orientation {
 /// Maps ticks of a track to seconds of the presentation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Timeline {
-    parts: Vec<Part>,
+    parts: Vec<Edit>,
     ticks_per_s: f64,
 }
 
 /// A stretch of the track that is shown.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Part {
+struct Edit {
     /// Ticks of the track.
     from: f64,
     /// Ticks of the track, not included.
@@ -97,7 +97,7 @@ impl Timeline {
                 } else {
                     to.max(from + 1.0)
                 };
-                parts.push(Part {
+                parts.push(Edit {
                     from,
                     to,
                     shown_at,
@@ -107,7 +107,7 @@ impl Timeline {
             shown_at += length_s;
         }
         if parts.is_empty() {
-            parts.push(Part {
+            parts.push(Edit {
                 from: f64::NEG_INFINITY,
                 to: f64::INFINITY,
                 shown_at: 0.0,

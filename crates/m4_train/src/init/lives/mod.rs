@@ -76,7 +76,7 @@ impl Lives {
 
 /// The dynamic points of a clip, keyframe by keyframe.
 #[derive(Clone, Copy)]
-pub(crate) struct Clip<'a> {
+pub(crate) struct LifeInputs<'a> {
     pub capture: &'a Capture,
     /// The frame of each keyframe.
     pub frames: &'a [usize],
@@ -87,7 +87,7 @@ pub(crate) struct Clip<'a> {
 }
 
 /// Windows of a clip, and the lives of its points. Fails with [`InitError::Stopped`].
-pub(crate) fn lives(clip: Clip<'_>, progress: &dyn Progress) -> Result<Lives, InitError> {
+pub(crate) fn lives(clip: LifeInputs<'_>, progress: &dyn Progress) -> Result<Lives, InitError> {
     let mut out = Lives::free(clip.dynamic);
     let spans = clip.spans();
     for (w, keys) in spans.iter().enumerate() {
@@ -99,7 +99,7 @@ pub(crate) fn lives(clip: Clip<'_>, progress: &dyn Progress) -> Result<Lives, In
     Ok(out)
 }
 
-impl Clip<'_> {
+impl LifeInputs<'_> {
     /// Frames a second.
     pub fn rate(&self) -> f64 {
         match self.capture.duration_s {

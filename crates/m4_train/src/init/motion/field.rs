@@ -4,7 +4,7 @@ use crate::init::{
     InitError,
     config::stopped,
     motion::{
-        register::{Guess, Keyframe, KeyframeTracks, View, register},
+        register::{Guess, Keyframe, KeyframeTracks, KeyframeView, register},
         rigid::Rigid,
     },
     voxel::Centroids,
@@ -36,7 +36,7 @@ pub(crate) struct Fields {
 /// Motions between every keyframe and the next; refined by `tracks`. Fails with
 /// [`InitError::Stopped`].
 pub(crate) fn fields(
-    keyframes: &[View<'_>],
+    keyframes: &[KeyframeView<'_>],
     tracks: Option<KeyframeTracks<'_>>,
     reach: f32,
     progress: &dyn Progress,
@@ -267,7 +267,7 @@ impl Paths {
 
 #[cfg(test)]
 mod tests {
-    use super::{Field, Fields, Paths, Rigid, View, fields};
+    use super::{Field, Fields, KeyframeView, Paths, Rigid, fields};
     use crate::init::voxel::Centroids;
     use m4_core::{
         CounterRng, Silent,
@@ -300,7 +300,7 @@ mod tests {
     }
 
     fn between(clouds: &[Centroids], sees: &(dyn Fn([f32; 3]) -> bool + Sync)) -> Vec<Fields> {
-        let view = |c| View {
+        let view = |c| KeyframeView {
             nodes: c,
             points: c,
             sees,

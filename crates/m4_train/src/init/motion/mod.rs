@@ -20,6 +20,6 @@ mod window;
 pub(crate) use deviation::UNIT_WIDTH;
 pub(crate) use field::{Field, Fields, Paths, fields};
 pub(crate) use observed::Observed;
-pub(crate) use register::{KeyframeTracks, NODE_PIXELS, REACH_PIXELS, View};
+pub(crate) use register::{KeyframeTracks, KeyframeView, NODE_PIXELS, REACH_PIXELS};
 pub(crate) use rigid::Rigid;
 pub(crate) use window::WindowMotion;

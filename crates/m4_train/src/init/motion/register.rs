@@ -39,7 +39,7 @@ fn joint(p: [f32; 3], rgb: [f32; 3], reach: f32) -> [f32; 6] {
 
 /// One keyframe as its neighbours are registered to it.
 #[derive(Clone, Copy)]
-pub(crate) struct View<'a> {
+pub(crate) struct KeyframeView<'a> {
     /// Points whose motion is looked for.
     pub nodes: &'a Centroids,
     /// Points that nodes of other keyframes are brought onto.
@@ -50,7 +50,7 @@ pub(crate) struct View<'a> {
 
 /// A keyframe with what registering from it and to it needs; neighbours share it.
 pub(crate) struct Keyframe<'a> {
-    pub view: View<'a>,
+    pub view: KeyframeView<'a>,
     /// The nodes nearest to each node, the nearest first; none if they have no order in space.
     near: Vec<Vec<u32>>,
     leaders: Leaders,
@@ -60,7 +60,7 @@ pub(crate) struct Keyframe<'a> {
 
 impl<'a> Keyframe<'a> {
     /// Prepares `view`; `reach` in world units.
-    pub fn new(view: View<'a>, reach: f32) -> Self {
+    pub fn new(view: KeyframeView<'a>, reach: f32) -> Self {
         let nodes = &view.nodes.xyz;
         let ((near, leaders), points) = rayon::join(
             || (nearest(nodes, nodes, NEIGHBOURS), Leaders::new(nodes)),

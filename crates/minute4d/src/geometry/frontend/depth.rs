@@ -92,7 +92,7 @@ mod networks {
     use super::{Error, MonoClip, Plane, RgbImage, Steps};
     use crate::error::{NetworkError, NetworkMethod};
     use crate::networks::unusable;
-    use crate::settings::FrontendPart as Part;
+    use crate::settings::FrontendPart;
     use m4_core::{ResizeFilter, resize_rgb};
     use m4_geometry::megasam::MegasamError;
     use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeOptions, NetError, UniDepth, cpu};
@@ -129,7 +129,7 @@ mod networks {
     }
 
     fn load<T>(
-        part: Part,
+        part: FrontendPart,
         plan: &Plan,
         device: &Compute,
         load: impl Fn(&Path, &Compute) -> Result<T, LoadError>,
@@ -152,26 +152,32 @@ mod networks {
             steps: Steps<'_>,
         ) -> Result<Option<Self>, Error> {
             let progress = steps.observer();
-            let moge = load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?;
+            let moge = load(FrontendPart::Moge, plan, device, |path, on| {
+                MoGe::load(path, on)
+            })?;
             let moge = moge.map(|net| Metric::MoGe(Box::new(net)));
-            let unidepth = load(Part::Unidepth, plan, device, |path, on| {
+            let unidepth = load(FrontendPart::Unidepth, plan, device, |path, on| {
                 UniDepth::load(path, on)
             })?;
             let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
             let networks = Networks {
                 metric: moge.or(unidepth),
-                relative: load(Part::DepthAnything, plan, device, |path, on| {
+                relative: load(FrontendPart::DepthAnything, plan, device, |path, on| {
                     DepthAnything::load(path, on)
                 })?,
             };
             if networks.metric.is_none() && networks.relative.is_none() {
                 return Ok(None);
             }
-            let name = [Part::Moge, Part::Unidepth, Part::DepthAnything];
+            let name = [
+                FrontendPart::Moge,
+                FrontendPart::Unidepth,
+                FrontendPart::DepthAnything,
+            ];
             let name: Vec<&str> = name
                 .into_iter()
                 .filter(|&p| plan.frontend.has(p))
-                .map(Part::name)
+                .map(FrontendPart::name)
                 .collect();
             let name = name.join("+");
             let (mut metric_m, mut relative, mut fovs) = (Vec::new(), Vec::new(), Vec::new());

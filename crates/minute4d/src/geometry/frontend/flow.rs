@@ -54,7 +54,7 @@ mod raft {
     use super::{Error, Flow, NetworkDevice, SourceError};
     use crate::error::NetworkMethod;
     use crate::networks::unusable;
-    use crate::settings::FrontendPart as Part;
+    use crate::settings::FrontendPart;
     use m4_core::{Plane, RgbImage};
     use m4_geometry::flow::ScaledFrame;
     use m4_geometry::megasam::PairFlow;
@@ -66,9 +66,9 @@ mod raft {
         pub(super) fn raft(&self, device: &NetworkDevice) -> Result<Option<Raft>, Error> {
             let load = |path| {
                 Raft::load(path, &device.device)
-                    .map_err(unusable(NetworkMethod::FrontEnd(Part::Raft)))
+                    .map_err(unusable(NetworkMethod::FrontEnd(FrontendPart::Raft)))
             };
-            self.file(Part::Raft).map(load).transpose()
+            self.file(FrontendPart::Raft).map(load).transpose()
         }
 
         /// RAFT along a clip; `None` if another method measures flow. Fails if its weights cannot

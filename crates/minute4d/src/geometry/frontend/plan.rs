@@ -8,7 +8,7 @@ use crate::error::NetworkMethod;
 use crate::networks::UsedNetwork;
 #[cfg(feature = "nets")]
 use crate::networks::{installed, network};
-use crate::settings::{Frontend, FrontendPart as Part};
+use crate::settings::{Frontend, FrontendPart};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
 
@@ -22,14 +22,14 @@ pub struct Plan {
     /// What the user should know about the choice.
     pub notes: Vec<String>,
     #[cfg(feature = "nets")]
-    pub(super) files: Vec<(Part, PathBuf)>,
+    pub(super) files: Vec<(FrontendPart, PathBuf)>,
 }
 
 impl Plan {
     /// Whether cameras come from MegaSaM's tracking network; else from tracked corners and bundle
     /// adjustment.
     pub fn is_megasam(&self) -> bool {
-        self.frontend.has(Part::Megasam)
+        self.frontend.has(FrontendPart::Megasam)
     }
 
     /// Hashes of the networks' weights.
@@ -42,7 +42,7 @@ impl Plan {
 
     /// The file of a part's weights.
     #[cfg(feature = "nets")]
-    pub(super) fn file(&self, part: Part) -> Option<&std::path::Path> {
+    pub(super) fn file(&self, part: FrontendPart) -> Option<&std::path::Path> {
         let entry = self.files.iter().find(|(p, _)| *p == part);
         entry.map(|(_, path)| path.as_path())
     }
@@ -50,20 +50,20 @@ impl Plan {
 
 /// Names of the weights that serve a part, the best first.
 #[cfg(feature = "nets")]
-fn names(part: Part) -> &'static [&'static str] {
+fn names(part: FrontendPart) -> &'static [&'static str] {
     match part {
-        Part::Megasam => &["megasam"],
-        Part::Classical => &[],
-        Part::Raft => &["raft-things"],
-        Part::Moge => &[
+        FrontendPart::Megasam => &["megasam"],
+        FrontendPart::Classical => &[],
+        FrontendPart::Raft => &["raft-things"],
+        FrontendPart::Moge => &[
             "moge-2-l-normal",
             "moge-2-l",
             "moge-2-b-normal",
             "moge-2-b",
             "moge-2-s-normal",
         ],
-        Part::Unidepth => &["unidepth-v2-l"],
-        Part::DepthAnything => &[
+        FrontendPart::Unidepth => &["unidepth-v2-l"],
+        FrontendPart::DepthAnything => &[
             "depth-anything-v1-l",
             "depth-anything-v1-b",
             "depth-anything-v1-s",
@@ -73,14 +73,14 @@ fn names(part: Part) -> &'static [&'static str] {
 
 /// The default flow methods for the tracking network, best first.
 #[cfg(feature = "nets")]
-const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
+const FLOWS: [FrontendPart; 2] = [FrontendPart::Raft, FrontendPart::Classical];
 /// The depth methods, best first.
 #[cfg(feature = "nets")]
-const DEPTHS: [&[Part]; 5] = [
-    &[Part::Moge],
-    &[Part::Unidepth, Part::DepthAnything],
-    &[Part::Unidepth],
-    &[Part::DepthAnything],
+const DEPTHS: [&[FrontendPart]; 5] = [
+    &[FrontendPart::Moge],
+    &[FrontendPart::Unidepth, FrontendPart::DepthAnything],
+    &[FrontendPart::Unidepth],
+    &[FrontendPart::DepthAnything],
     &[],
 ];
 
@@ -90,10 +90,11 @@ const DEPTHS: [&[Part]; 5] = [
 /// not start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
-    let here = |part: Part| part == Part::Classical || installed(names(part)).is_some();
+    let here =
+        |part: FrontendPart| part == FrontendPart::Classical || installed(names(part)).is_some();
     let mut notes = Vec::new();
     let parts = if asked.is_auto() {
-        let best = [Part::Megasam, Part::Raft];
+        let best = [FrontendPart::Megasam, FrontendPart::Raft];
         let depth = DEPTHS
             .iter()
             .find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
@@ -101,7 +102,7 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
             Some(depth) if best.iter().all(|&p| here(p)) && device.is_gpu()? => {
                 [&best, *depth].concat()
             }
-            _ => vec![Part::Classical],
+            _ => vec![FrontendPart::Classical],
         }
     } else {
         complete(asked, &here, &mut notes)
@@ -133,9 +134,9 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
 /// Finds what `asked` needs; fails for networks, which the build lacks.
 #[cfg(not(feature = "nets"))]
 pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
-    let network = Part::ALL
+    let network = FrontendPart::ALL
         .into_iter()
-        .find(|&p| p != Part::Classical && asked.has(p));
+        .find(|&p| p != FrontendPart::Classical && asked.has(p));
     match network {
         Some(part) => Err(NetworkError::NotBuilt {
             method: NetworkMethod::FrontEnd(part),
@@ -151,12 +152,16 @@ pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
 
 /// The parts of `asked` with a flow, and with a depth where the tracking network wants one.
 #[cfg(feature = "nets")]
-fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<String>) -> Vec<Part> {
+fn complete(
+    asked: &Frontend,
+    here: &dyn Fn(FrontendPart) -> bool,
+    notes: &mut Vec<String>,
+) -> Vec<FrontendPart> {
     let mut parts = asked.parts().to_vec();
-    let tracked = asked.has(Part::Megasam);
+    let tracked = asked.has(FrontendPart::Megasam);
     if !FLOWS.iter().any(|&flow| asked.has(flow)) {
         let flow = FLOWS.into_iter().find(|&flow| tracked && here(flow));
-        parts.push(flow.unwrap_or(Part::Classical));
+        parts.push(flow.unwrap_or(FrontendPart::Classical));
     }
     let has_depth = DEPTHS
         .iter()
@@ -193,21 +198,21 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
 #[cfg(feature = "nets")]
 mod tests {
     use super::{complete, names};
-    use crate::settings::{Frontend, FrontendPart as Part};
+    use crate::settings::{Frontend, FrontendPart};
     use crate::weights;
 
-    fn parts(asked: &str, here: &[Part]) -> (String, Vec<String>) {
+    fn parts(asked: &str, here: &[FrontendPart]) -> (String, Vec<String>) {
         let asked: Frontend = asked.parse().unwrap();
         let mut notes = Vec::new();
-        let present = |part| part == Part::Classical || here.contains(&part);
+        let present = |part| part == FrontendPart::Classical || here.contains(&part);
         let parts = complete(&asked, &present, &mut notes);
         (Frontend::of(parts).unwrap().to_string(), notes)
     }
 
     #[test]
     fn every_part_has_weights_that_are_known() {
-        for part in Part::ALL {
-            assert_eq!(names(part).is_empty(), part == Part::Classical);
+        for part in FrontendPart::ALL {
+            assert_eq!(names(part).is_empty(), part == FrontendPart::Classical);
             assert!(
                 names(part).iter().all(|name| weights::find(name).is_ok()),
                 "{part:?}"
@@ -217,13 +222,16 @@ mod tests {
 
     #[test]
     fn parts_not_named_use_methods_without_weights() {
-        assert_eq!(parts("moge", &[Part::Raft, Part::Moge]).0, "classical+moge");
+        assert_eq!(
+            parts("moge", &[FrontendPart::Raft, FrontendPart::Moge]).0,
+            "classical+moge"
+        );
         assert_eq!(parts("raft", &[]), ("raft".to_owned(), vec![]));
     }
 
     #[test]
     fn the_tracking_network_takes_the_best_that_is_here_and_says_so() {
-        use Part::{DepthAnything, Moge, Raft, Unidepth};
+        use FrontendPart::{DepthAnything, Moge, Raft, Unidepth};
         let (all, notes) = parts("megasam", &[Raft, Moge, Unidepth, DepthAnything]);
         assert_eq!(all, "megasam+raft+moge");
         assert!(notes[0].contains("raft, moge"), "{notes:?}");

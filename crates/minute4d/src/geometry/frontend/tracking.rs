@@ -4,7 +4,7 @@ use super::Plan;
 use crate::Error;
 use crate::error::NetworkMethod;
 use crate::networks::unusable;
-use crate::settings::FrontendPart as Part;
+use crate::settings::FrontendPart;
 use m4_core::{Mask, Plane, RgbImage};
 use m4_geometry::megasam::TrackingSize;
 use m4_geometry::megasam::graph::EdgeChanges;
@@ -32,13 +32,13 @@ impl<'a> NetworkCorrespondence<'a> {
         budget_mb: usize,
         device: &Compute,
     ) -> Result<Self, Error> {
-        let Some(path) = plan.file(Part::Megasam) else {
+        let Some(path) = plan.file(FrontendPart::Megasam) else {
             return Err(Error::Internal {
                 what: "the front end has no tracking network".to_owned(),
             });
         };
         let net = DroidNet::load(path, device)
-            .map_err(unusable(NetworkMethod::FrontEnd(Part::Megasam)))?;
+            .map_err(unusable(NetworkMethod::FrontEnd(FrontendPart::Megasam)))?;
         Ok(Self::new(net, images, masks, size, memory(budget_mb)))
     }
 

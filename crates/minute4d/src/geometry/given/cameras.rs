@@ -1,7 +1,7 @@
 //! Reads intrinsics from the command line or a JSON file, and poses from `transforms.json` of our
 //! own captures and of nerfstudio.
 
-use super::{Clip, other_shape, same_shape};
+use super::{ClipFiles, other_shape, same_shape};
 use crate::{Error, Refusal};
 use m4_core::{Camera, Intrinsics};
 use m4_io::{files, range, trajectory};
@@ -111,7 +111,11 @@ fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
 
 /// A camera per frame. `lens` replaces the lenses of the file. Fails if the file cannot be read or
 /// has another number of poses.
-pub fn poses(path: &Path, clip: &Clip, lens: Option<Intrinsics>) -> Result<Vec<Camera>, Error> {
+pub fn poses(
+    path: &Path,
+    clip: &ClipFiles,
+    lens: Option<Intrinsics>,
+) -> Result<Vec<Camera>, Error> {
     let mut cameras = trajectory::read(path, clip.frames)?;
     cameras.sort_by(|a, b| a.1.total_cmp(&b.1));
     let cameras = cameras.into_iter().map(|(camera, _)| camera).collect();

@@ -84,7 +84,7 @@ impl Given {
         if !options.any_given() {
             return Ok(Self::default());
         }
-        let clip = Clip::of(input, video, folder_fps)?;
+        let clip = ClipFiles::of(input, video, folder_fps)?;
         let lens = options.intrinsics.as_deref();
         let lens = lens
             .map(|text| cameras::lens(text, clip.size))
@@ -141,7 +141,7 @@ impl Given {
 
 /// Reads the file of every frame.
 fn each<T: Send>(
-    clip: &Clip,
+    clip: &ClipFiles,
     what: &'static str,
     folder: &Path,
     read: impl Fn(&Path) -> Result<Plane<T>, Error> + Sync,
@@ -189,7 +189,7 @@ fn mask(path: &Path) -> Result<Mask, Error> {
 }
 
 /// A clip as far as files are to be found for its frames.
-pub struct Clip {
+pub struct ClipFiles {
     /// Number of frames.
     pub frames: usize,
     /// Their width and height.
@@ -198,7 +198,7 @@ pub struct Clip {
     source: Option<(Vec<PathBuf>, Vec<usize>)>,
 }
 
-impl Clip {
+impl ClipFiles {
     /// Of `video`, which was read from `input`.
     pub fn of(input: &Path, video: &Video, folder_fps: f64) -> Result<Self, Error> {
         let source = if input.is_dir() {

@@ -17,7 +17,7 @@ mod occluders;
 use super::regions::Components;
 use super::rigid_objects::{ROUND_TRIP_PX, Tracklet, follow};
 use super::shot::Shot;
-use super::working::{Clip, pixel_at};
+use super::working::{WorkingClip, pixel_at};
 use crate::flow::FlowPair;
 use m4_core::{Camera, Flow, quantile};
 use occluders::Occluders;
@@ -48,7 +48,7 @@ pub(super) fn sphere(camera: &Camera) -> Vec<f32> {
 /// Disparity of every pixel of every frame, `[height][width]` each. `clip.disparity` is [`sphere`]
 /// of each camera, `shots` have the colours, and a flow whose round trip misses by more than
 /// [`ROUND_TRIP_PX`] saw an occlusion.
-pub(super) fn place(clip: &Clip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
+pub(super) fn place(clip: &WorkingClip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
     let (w, h) = (clip.width, clip.height);
     let tracklets = follow(clip);
     let labels = labels(clip, &tracklets);
@@ -82,7 +82,7 @@ fn nearer(layer: usize) -> f32 {
 }
 
 /// One plus the tracklet of every pixel of every frame, 0 for none.
-fn labels(clip: &Clip<'_>, tracklets: &[Tracklet]) -> Vec<Vec<u32>> {
+fn labels(clip: &WorkingClip<'_>, tracklets: &[Tracklet]) -> Vec<Vec<u32>> {
     let mut out = vec![vec![0u32; clip.width * clip.height]; clip.dynamic.len()];
     for (k, tracklet) in tracklets.iter().enumerate() {
         for (frame, pixels) in out[tracklet.first..].iter_mut().zip(&tracklet.parts) {
@@ -147,7 +147,7 @@ struct Beside {
 ///
 /// 0 for the farthest; greater than those of all that it touches and surely occludes. Regions that
 /// touch without a sure order share a rank: they may be parts of one body.
-fn ranks(clip: &Clip<'_>, labels: &[Vec<u32>], count: usize) -> Vec<usize> {
+fn ranks(clip: &WorkingClip<'_>, labels: &[Vec<u32>], count: usize) -> Vec<usize> {
     let mut beside: BTreeMap<(usize, usize), Beside> = BTreeMap::new();
     for t in 0..labels.len() {
         observe(clip, labels, t, &mut beside);
@@ -190,7 +190,7 @@ fn in_front(a: Beside, b: Beside) -> f32 {
 
 /// Adds what frame `t` shows together with the frames before and after it.
 fn observe(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     labels: &[Vec<u32>],
     t: usize,
     beside: &mut BTreeMap<(usize, usize), Beside>,

@@ -4,7 +4,7 @@
 
 use super::super::rigid_objects::ROUND_TRIP_PX;
 use super::super::shot::{Pair, Shot};
-use super::super::working::{Clip, pixel_at};
+use super::super::working::{WorkingClip, pixel_at};
 use crate::smooth::Smoother;
 use m4_core::{Camera, Intrinsics};
 
@@ -36,7 +36,7 @@ pub(super) struct Occluders {
 
 impl Occluders {
     /// Looks for them; `shots` have the colours.
-    pub fn find(clip: &Clip<'_>, shots: &[Shot]) -> Self {
+    pub fn find(clip: &WorkingClip<'_>, shots: &[Shot]) -> Self {
         let (w, h) = (clip.width, clip.height);
         let camera = canvas(&clip.cameras[clip.cameras.len() / 2]);
         let (cw, ch) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -122,7 +122,7 @@ fn on_sphere(pair: &Pair, p: usize, w: usize, (width, height): (usize, usize)) -
 
 /// Static pixels of frame `i` beside a dynamic one that stay so until the next frame, and how far
 /// what is inside the mask moves across the edge meanwhile, pixels.
-fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
+fn crossings(clip: &WorkingClip<'_>, i: usize) -> Vec<(usize, f32)> {
     let (w, h) = (clip.width, clip.height);
     let (now, next) = (&clip.dynamic[i], &clip.dynamic[i + 1]);
     let flow = &clip.flows[i];
@@ -167,7 +167,7 @@ fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
 }
 
 /// The usual colour in every direction of the canvas, grey where no frame looks.
-fn colours(clip: &Clip<'_>, shots: &[Shot], canvas: &Camera) -> Vec<[u8; 3]> {
+fn colours(clip: &WorkingClip<'_>, shots: &[Shot], canvas: &Camera) -> Vec<[u8; 3]> {
     let (w, h) = (clip.width, clip.height);
     let k = &canvas.intrinsics;
     let count = SAMPLES.min(shots.len());

@@ -15,7 +15,7 @@
 //! the whole clip. Needs neither size nor shape, but a ground and a curved path.
 
 use super::ground::Ground;
-use super::{Clip, Flight, Tracklet, flight};
+use super::{Flight, Tracklet, WorkingClip, flight};
 use crate::FrameRate;
 use m4_core::{Camera, quantile};
 use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
@@ -46,7 +46,7 @@ pub(super) struct RigidObject<'a> {
 /// `depth` is the estimated z-depth of each part by frame, of which only the order of magnitude
 /// matters.
 pub(super) fn depths(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     ground: &Ground,
     tracklets: &[&Tracklet],
     depth: &[Vec<f64>],
@@ -138,7 +138,7 @@ pub(super) struct Observation {
 }
 
 /// By frame of the tracklet.
-fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
+fn observations(clip: &WorkingClip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
     let area: Vec<f64> = tracklet.parts.iter().map(|p| p.len() as f64).collect();
     let mut own = vec![false; clip.width * clip.height];
     let reach = clip.rate.frames(AROUND_S);
@@ -167,7 +167,7 @@ fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
 /// Pixel coordinates of the middle of a part, and whether it touches neither the border of the
 /// image nor, for long, another part; `own` is room to work in, all false before and after.
 fn outline(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
     k: usize,
     own: &mut [bool],

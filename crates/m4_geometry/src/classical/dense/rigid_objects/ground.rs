@@ -1,6 +1,6 @@
 //! The ground: the plane that most of what lies below the camera is on.
 
-use super::Clip;
+use super::WorkingClip;
 use m4_core::CounterRng;
 use nalgebra::{Matrix3, Vector3};
 
@@ -32,7 +32,7 @@ impl Ground {
 }
 
 /// The ground, if there is one below the cameras.
-pub(super) fn find(clip: &Clip<'_>) -> Option<Ground> {
+pub(super) fn find(clip: &WorkingClip<'_>) -> Option<Ground> {
     let samples = samples(clip);
     let axis: Vector3<f64> = clip
         .cameras
@@ -98,7 +98,7 @@ fn oriented(normal: Vector3<f64>, through: &Vector3<f64>, axis: &Vector3<f64>) -
 }
 
 /// Static points and their z-depths.
-fn samples(clip: &Clip<'_>) -> Vec<(Vector3<f64>, f64)> {
+fn samples(clip: &WorkingClip<'_>) -> Vec<(Vector3<f64>, f64)> {
     let mut out = Vec::new();
     for t in (0..clip.cameras.len()).step_by(clip.rate.frames(EVERY_S)) {
         for y in (PIXELS / 2..clip.height).step_by(PIXELS) {

@@ -20,7 +20,7 @@ mod scale;
 mod tracklet;
 
 use super::sources::DenseError;
-use super::working::{Clip, each};
+use super::working::{WorkingClip, each};
 use crate::smooth::Smoother;
 use flight::Flight;
 use m4_core::{Progress, quantile};
@@ -45,7 +45,7 @@ const OCCLUSION_RANGE: f32 = 1.2;
 const FILL_LAMBDA: f32 = 100.0;
 
 /// Fewest frames of a region.
-fn shortest(clip: &Clip<'_>) -> usize {
+fn shortest(clip: &WorkingClip<'_>) -> usize {
     clip.rate.frames(SHORTEST_S).max(FEWEST)
 }
 
@@ -56,7 +56,7 @@ type Body<'a> = (&'a Tracklet, rigid::Shape, scale::Reading);
 /// followed long enough to be understood as a rigid object; what flies takes its distance from how
 /// it falls, where there is a ground.
 pub(super) fn place<'s>(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     smoother: impl Fn(usize) -> Smoother + Sync + 's,
     disparity: &mut [Vec<f32>],
     progress: &dyn Progress,
@@ -103,7 +103,12 @@ pub(super) fn place<'s>(
 }
 
 /// Corrects the scales (by body and frame) of what flies.
-fn fall(clip: &Clip<'_>, ground: &ground::Ground, bodies: &[Body<'_>], scales: &mut [Vec<f32>]) {
+fn fall(
+    clip: &WorkingClip<'_>,
+    ground: &ground::Ground,
+    bodies: &[Body<'_>],
+    scales: &mut [Vec<f32>],
+) {
     let typical = |shape: &rigid::Shape, k: usize| {
         let mut all: Vec<f32> = shape.values(clip, k).map(|(_, d)| d).collect();
         quantile(&mut all, 0.5)
@@ -141,7 +146,7 @@ fn fall(clip: &Clip<'_>, ground: &ground::Ground, bodies: &[Body<'_>], scales: &
 
 /// Spreads the values of a frame over the parts that they lie in.
 fn spread(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     i: usize,
     smoother: &Smoother,
     bodies: &[Body<'_>],

@@ -1,6 +1,6 @@
 //! A part as a rigid body: dense bundle adjustment of the camera against it.
 
-use super::{BLOCK_PX, Clip, ROUND_TRIP_PX, Tracklet};
+use super::{BLOCK_PX, ROUND_TRIP_PX, Tracklet, WorkingClip};
 use crate::classical::dense::working::{nearest_pixel, pixel_at};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Grid, Pinhole, Problem, adjust};
 use crate::flow::FlowPair;
@@ -32,7 +32,7 @@ pub(super) struct Shape {
 
 impl Shape {
     /// The mean of all known points, in the frame of the body.
-    pub fn middle(&self, clip: &Clip<'_>) -> Option<Vector3<f64>> {
+    pub fn middle(&self, clip: &WorkingClip<'_>) -> Option<Vector3<f64>> {
         let camera = clip.cameras.first()?;
         let (mut sum, mut count) = (Vector3::zeros(), 0.0);
         for (k, pose) in self.poses.iter().enumerate() {
@@ -53,7 +53,7 @@ impl Shape {
     /// The pixels of a frame with a value, and the value.
     pub fn values<'a>(
         &'a self,
-        clip: &'a Clip<'_>,
+        clip: &'a WorkingClip<'_>,
         k: usize,
     ) -> impl Iterator<Item = (u32, f32)> + 'a {
         self.disparity[k]
@@ -82,7 +82,7 @@ fn ray(camera: &Camera, x: usize, y: usize) -> Vector3<f64> {
 
 /// Adjusts one part; `before` is the disparity that it was believed to have.
 pub(super) fn reconstruct(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
     before: &[Vec<f32>],
 ) -> Option<Shape> {
@@ -213,7 +213,7 @@ const SPANS: [usize; 3] = [1, 3, 8];
 struct Inside(Vec<Vec<bool>>);
 
 impl Inside {
-    fn of(clip: &Clip<'_>, tracklet: &Tracklet) -> Self {
+    fn of(clip: &WorkingClip<'_>, tracklet: &Tracklet) -> Self {
         let one = |pixels: &Vec<u32>| {
             let mut inside = vec![false; clip.width * clip.height];
             for &p in pixels {
@@ -231,14 +231,19 @@ impl Inside {
 
 /// The edges of every frame to those [`SPANS`] before and after; frames are counted from the
 /// tracklet's first.
-fn factors(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid) -> Vec<Factor<f32>> {
+fn factors(
+    clip: &WorkingClip<'_>,
+    tracklet: &Tracklet,
+    inside: &Inside,
+    grid: Grid,
+) -> Vec<Factor<f32>> {
     let ways = (0..tracklet.parts.len()).flat_map(|k| [(k, true), (k, false)]);
     ways.flat_map(|(k, later)| chain(clip, tracklet, inside, grid, k, later))
         .collect()
 }
 
 fn chain(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
     inside: &Inside,
     grid: Grid,

@@ -1,7 +1,7 @@
 //! The one number that the motion of a part does not reveal.
 
 use super::rigid::Shape;
-use super::{Clip, OCCLUSION_RANGE, Tracklet};
+use super::{OCCLUSION_RANGE, Tracklet, WorkingClip};
 use crate::classical::dense::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
 use m4_core::quantile;
 use nalgebra::Vector3;
@@ -42,7 +42,7 @@ pub(super) struct Reading {
 /// In every frame the part is at least as near as what it hides: a lower bound of the factor, so a
 /// high quantile of all frames is one, too. Where there is ground at its feet it touches that, but
 /// for the errors of its outline and its shape: the median of those frames. All are in one unit.
-pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Reading> {
+pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Reading> {
     let frames = tracklet.parts.len();
     let (mut all, mut standing, mut typical) = (Vec::new(), Vec::new(), Vec::new());
     for k in 0..frames {
@@ -87,7 +87,7 @@ pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
 
 /// The factor by the ground under a part in one frame, if it is ground.
 pub(super) fn standing(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
     shape: &Shape,
     k: usize,
@@ -136,7 +136,7 @@ impl Bound {
     }
 }
 
-fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<Bound> {
+fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<Bound> {
     let (w, h) = (clip.width, clip.height);
     let background = &clip.disparity[tracklet.first + k];
     let pixels = &tracklet.parts[k];
@@ -174,7 +174,7 @@ fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Optio
 /// where the adjusted shape puts the middle, seen from there. Multiplied by `q` the way is linear
 /// in `q`, and its error no longer favours parts close to the camera (Ozden, Schindler and Van Gool
 /// 2010 on the scale of parts).
-fn in_place(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<(f64, f64)> {
+fn in_place(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<(f64, f64)> {
     let middle = shape.middle(clip)?;
     let (mut c, mut v) = (Vec::new(), Vec::new());
     for k in 0..tracklet.parts.len() {

@@ -5,7 +5,7 @@
 //! before are separated by carrying their labels along the flow, those that will be by carrying
 //! labels back from then; a region is what has the same pair of labels.
 
-use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, shortest};
+use super::{LEAST_SHARE, ROUND_TRIP_PX, WorkingClip, shortest};
 use crate::classical::dense::regions::Components;
 use crate::classical::dense::working::pixel_at;
 use crate::flow::FlowPair;
@@ -27,7 +27,11 @@ pub(in super::super) struct Tracklet {
 }
 
 /// For every part of a frame the part of the other frame where most of it is seen, and the share.
-fn heirs(clip: &Clip<'_>, from: (usize, &Components), to: (usize, &Components)) -> Vec<usize> {
+fn heirs(
+    clip: &WorkingClip<'_>,
+    from: (usize, &Components),
+    to: (usize, &Components),
+) -> Vec<usize> {
     let (w, h) = (clip.width, clip.height);
     let Some((flow, trip)) = FlowPair::step(clip.flows, from.0, from.0 < to.0) else {
         return Vec::new();
@@ -63,7 +67,7 @@ fn heirs(clip: &Clip<'_>, from: (usize, &Components), to: (usize, &Components)) 
 }
 
 /// Follows every part until it leaves, splits, merges or changes its size at once.
-pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
+pub(in super::super) fn follow(clip: &WorkingClip<'_>) -> Vec<Tracklet> {
     let (w, h) = (clip.width, clip.height);
     let mut done = Vec::new();
     // The open tracklet of every part of the frame before.
@@ -122,7 +126,7 @@ const ALL_BUT: f32 = 0.97;
 const PAIR: f32 = 0.5;
 
 /// The regions of every frame.
-pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
+pub(super) fn regions(clip: &WorkingClip<'_>) -> Vec<Components> {
     let (w, h) = (clip.width, clip.height);
     let parts: Vec<Components> = clip
         .dynamic
@@ -144,7 +148,7 @@ pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
 
 /// Labels (`[height][width]` by frame, 0 outside the masks) carried from one end of the clip to the
 /// other.
-fn carry(clip: &Clip<'_>, parts: &[Components], least: usize, later: bool) -> Vec<Vec<u32>> {
+fn carry(clip: &WorkingClip<'_>, parts: &[Components], least: usize, later: bool) -> Vec<Vec<u32>> {
     let n = parts.len();
     let mut out: Vec<Vec<u32>> = vec![Vec::new(); n];
     let mut fresh = 0u32;
@@ -182,7 +186,7 @@ fn own(parts: &Components, fresh: &mut u32) -> Vec<u32> {
 
 /// The labels of frame `t` from those of its neighbour `s`.
 fn next(
-    clip: &Clip<'_>,
+    clip: &WorkingClip<'_>,
     parts: &Components,
     labels: &[u32],
     (s, t): (usize, usize),

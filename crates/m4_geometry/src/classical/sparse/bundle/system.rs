@@ -58,7 +58,7 @@ impl Reduced {
     }
 }
 
-struct Part<'a> {
+struct NormalEquations<'a> {
     envelope: &'a Envelope,
     matrix: Vec<f64>,
     rhs: Vec<f64>,
@@ -66,7 +66,7 @@ struct Part<'a> {
     diagonal: Vec<f64>,
 }
 
-impl<'a> Part<'a> {
+impl<'a> NormalEquations<'a> {
     fn zero(envelope: &'a Envelope) -> Self {
         Self {
             envelope,
@@ -122,10 +122,10 @@ pub(super) fn reduce(
     let focal_column = options.free_focal.then_some(n);
     n += usize::from(options.free_focal);
     let envelope = envelope(bundle, runs, &pose_columns, focal_column, n);
-    let parts: Vec<Part<'_>> = runs
+    let parts: Vec<NormalEquations<'_>> = runs
         .par_chunks(runs.len().div_ceil(GROUPS).max(1))
         .map(|group| {
-            let mut part = Part::zero(&envelope);
+            let mut part = NormalEquations::zero(&envelope);
             for run in group.iter().filter(|run| !run.is_empty()) {
                 part.add_point(
                     bundle,
@@ -139,7 +139,7 @@ pub(super) fn reduce(
             part
         })
         .collect();
-    let mut sum = Part::zero(&envelope);
+    let mut sum = NormalEquations::zero(&envelope);
     for part in &parts {
         for (sum, part) in [
             (&mut sum.matrix, &part.matrix),
@@ -190,7 +190,7 @@ fn envelope(
     Envelope::new(first)
 }
 
-impl Part<'_> {
+impl NormalEquations<'_> {
     fn add_point(
         &mut self,
         bundle: &Bundle,

@@ -21,7 +21,7 @@ use crate::dba::Pinhole;
 pub(super) use frame::Moves;
 use frame::{Frame, Rate, Scratch, Step};
 use m4_core::{Se3, SimdLevel, dispatch};
-use pair::{Rows, Source, Sums, View};
+use pair::{PairBuffers, Rows, Source, Sums};
 use rayon::prelude::*;
 use shape::{Motion, Shape};
 use std::collections::HashSet;
@@ -173,7 +173,7 @@ impl<'a> Descent<'a> {
                         buffers.resize_with(work.task.pairs.len(), CompactFlow::default);
                         let mut views = Vec::with_capacity(work.task.pairs.len());
                         for ((&k, buffer), scatter) in work.task.pairs.iter().zip(buffers).zip(&mut work.targets) {
-                            views.push(View {
+                            views.push(PairBuffers {
                                 flow: pairs.flow(k, buffer)?,
                                 motion: motions[k],
                                 seen: &frames[pairs.pairs()[k].target].seen,

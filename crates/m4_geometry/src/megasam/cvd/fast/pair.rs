@@ -14,7 +14,7 @@ use crate::megasam::cvd::reference::LOG_WEIGHT;
 use fearless_simd::{Simd, f32x16, i32x16, prelude::*};
 
 /// One pair as the kernel sees it.
-pub(super) struct View<'a> {
+pub(super) struct PairBuffers<'a> {
     pub flow: &'a CompactFlow,
     pub motion: Motion,
     /// Disparity of the target, bordered.
@@ -85,7 +85,7 @@ pub(super) fn source<S: Simd>(
     shape: Shape,
     weights: &Weights,
     source: Source<'_>,
-    pairs: &mut [View<'_>],
+    pairs: &mut [PairBuffers<'_>],
     rows: &mut Rows,
 ) -> Sums {
     rows.resize(shape.stride);
