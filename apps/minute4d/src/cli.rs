@@ -7,6 +7,7 @@ use crate::commands::{
     eval::{Eval, Split},
     geometry::{Enhance, Geometry},
     interchange::{Export, Import},
+    manual::Manual,
     render::Render,
     run::{Run, Train},
     view::View,
@@ -65,6 +66,9 @@ pub enum Command {
     Batch(Batch),
     /// Describe this machine: cores, instruction sets, memory, GPUs, ffmpeg
     Doctor,
+    /// Write man pages and shell completions into a folder
+    #[command(hide = true)]
+    Manual(Manual),
     /// Benchmark the kernels on this machine
     Bench(Bench),
     /// List, download, add and verify pretrained network weights
@@ -90,6 +94,7 @@ impl Program for Cli {
             Command::Split(args) => commands::eval::split(args, output),
             Command::Batch(args) => commands::batch::run(args, &self.common, output),
             Command::Doctor => commands::doctor::run(output),
+            Command::Manual(args) => commands::manual::run::<Self>(args, output),
             Command::Bench(args) => commands::bench::run(args, &self.common, output),
             Command::Weights(args) => commands::weights::run(args, output),
         }

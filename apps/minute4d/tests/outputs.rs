@@ -352,3 +352,23 @@ fn a_run_that_left_nothing_does_not_block_the_next() {
         );
     }
 }
+
+#[test]
+fn man_pages_and_completions_name_every_command() {
+    let dir = Scratch::new();
+    dir.succeed("manual out");
+    let page = String::from_utf8(dir.read("out/man1/minute4d-render.1")).unwrap();
+    assert!(
+        page.contains("camera paths") || page.contains("path"),
+        "{page}"
+    );
+    for file in [
+        "minute4d.bash",
+        "_minute4d",
+        "minute4d.fish",
+        "_minute4d.ps1",
+    ] {
+        let text = String::from_utf8(dir.read(&format!("out/{file}"))).unwrap();
+        assert!(text.contains("render") && text.contains("eval"), "{file}");
+    }
+}

@@ -6,6 +6,7 @@ pub mod doctor;
 pub mod eval;
 pub mod geometry;
 pub mod interchange;
+pub mod manual;
 pub mod render;
 pub mod run;
 pub mod view;
