@@ -20,7 +20,10 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   settings  write the ranges and defaults in docs/settings.md from the code; --check: fail where it is not up to date";
 
 /// The features that are linted and documented beside the default ones.
-const FULL: [&str; 2] = ["--features", "minute4d_cli/full,m4_nets/gpu"];
+const FULL: [&str; 2] = [
+    "--features",
+    "minute4d_cli/full,minute4d_lab/full,m4_nets/gpu",
+];
 
 fn main() -> ExitCode {
     let args: Vec<String> = std::env::args().skip(1).collect();

@@ -20,7 +20,7 @@ use std::time::Instant;
 /// compiled.
 const DEFAULT: [&str; 3] = ["--workspace", "--exclude", "m4_nets"];
 /// What `full` adds to the program, with the crates whose tests it changes.
-const FULL: [&str; 14] = [
+const FULL: [&str; 16] = [
     "--package",
     "m4_kernels",
     "--package",
@@ -33,8 +33,10 @@ const FULL: [&str; 14] = [
     "minute4d_eval",
     "--package",
     "minute4d_cli",
+    "--package",
+    "minute4d_lab",
     "--features",
-    "minute4d_cli/full,m4_nets/gpu",
+    "minute4d_cli/full,minute4d_lab/full,m4_nets/gpu",
 ];
 
 /// Compiles in one unit what most of the time of the tests is spent in, so that everything can be

@@ -3,7 +3,6 @@
 use crate::commands::{
     self,
     batch::Batch,
-    bench::Bench,
     eval::{Eval, Split},
     geometry::{Enhance, Geometry},
     interchange::{Export, Import},
@@ -69,8 +68,6 @@ pub enum Command {
     /// Write man pages and shell completions into a folder
     #[command(hide = true)]
     Manual(Manual),
-    /// Benchmark the kernels on this machine
-    Bench(Bench),
     /// List, download, add and verify pretrained network weights
     Weights(Weights),
 }
@@ -95,7 +92,6 @@ impl Program for Cli {
             Command::Batch(args) => commands::batch::run(args, &self.common, output),
             Command::Doctor => commands::doctor::run(output),
             Command::Manual(args) => commands::manual::run::<Self>(args, output),
-            Command::Bench(args) => commands::bench::run(args, &self.common, output),
             Command::Weights(args) => commands::weights::run(args, output),
         }
     }
@@ -119,8 +115,6 @@ mod tests {
             "run a -o b --start -1",
             "run a -o b --max-frames 1",
             "render a --fps 0 -o b",
-            "bench --size 480",
-            "bench --scene 5d",
             "export a --fps 0",
             "import a.npz -o b --fps 0",
             "view a --port 0",
@@ -147,7 +141,6 @@ mod tests {
             "train a -o b --view --port 8000 --no-open --no-viewer",
             "eval a --data b --protocol rodygs --refine-poses",
             "eval a --data b --protocol dycheck --covisible c --device auto",
-            "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick",
             "batch plan a b --recursive -o jobs.jsonl --out c --preset draft --set train.seed=1 --device cpu --no-track",
             "batch submit --manifest a --max-parallel 64 --dry-run -- --gres=gpu:1 --account=me",
             "batch status --manifest a --failed --html b --json",

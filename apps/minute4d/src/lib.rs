@@ -6,7 +6,6 @@
 
 mod advice;
 pub mod batch;
-pub mod bench;
 mod cli;
 mod commands;
 pub mod failure;
@@ -18,5 +17,6 @@ pub mod run;
 pub mod view;
 
 pub use cli::Cli;
+pub use commands::doctor::processor;
 pub use options::Common;
 pub use program::{Program, program, start};

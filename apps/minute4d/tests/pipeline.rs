@@ -420,7 +420,7 @@ fn closed_stdout_pipe_is_not_a_failure() {
 }
 
 #[test]
-fn doctor_and_bench_report_the_machine() {
+fn doctor_reports_the_machine() {
     let dir = Scratch::new();
     let machine = dir.succeed("doctor --json").result();
     assert!(machine["threads"].as_u64().unwrap() >= 1 && machine["simd"].is_string());
@@ -433,21 +433,6 @@ fn doctor_and_bench_report_the_machine() {
             .unwrap(),
     );
     assert_eq!(without.result()["ffmpeg"]["found"], false);
-    let line = "bench --splats 500,1000 --size 96x72 --steps 1 --threads 1 --json";
-    let bench = dir.succeed(line).result();
-    let cases = bench["cases"].as_array().unwrap();
-    assert_eq!(cases.len(), 4, "two sizes, two scenes: {bench}");
-    for case in cases {
-        assert!(
-            case["step"]["ms"].as_f64().unwrap() > 0.0
-                && case["frames_per_s"].as_f64().unwrap() > 0.0
-        );
-        assert!(
-            (0.0..1.0).contains(&case["useful_share"].as_f64().unwrap()),
-            "{case}"
-        );
-        assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
-    }
 }
 
 #[test]

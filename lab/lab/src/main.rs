@@ -5,16 +5,20 @@
 //! reproduce   data sets -> import, split, train, score -> the tables of papers
 //! ablate      a clip with and without each part of the method
 //! explain     which error of a capture costs what in views
+//! bench       milliseconds per kernel, next to the limits of the machine
 //! results     the tables of docs/results.md
 //! ```
 
 mod ablate;
+mod bench;
+mod bench_command;
 mod commands;
 mod explain;
 mod program;
 mod reproduce;
 mod results;
 
+use bench_command::Bench;
 use clap::{Parser, Subcommand};
 use commands::{Ablate, EvalGeometry, Reproduce};
 use minute4d::Category;
@@ -48,6 +52,8 @@ enum Command {
     Ablate(Ablate),
     /// Compare the cameras, depth and masks of a capture with ground truth
     EvalGeometry(EvalGeometry),
+    /// Benchmark the kernels on this machine
+    Bench(Bench),
     /// Measure the tables of docs/results.md on rendered scenes and clips, and write them there;
     /// takes hours
     Results(Results),
@@ -63,6 +69,7 @@ impl Program for Lab {
             Command::Reproduce(args) => commands::run(args, output),
             Command::Ablate(args) => commands::ablate(args, output),
             Command::EvalGeometry(args) => commands::run_geometry(args, output),
+            Command::Bench(args) => bench_command::run(args, &self.common, output),
             Command::Results(args) => results(args),
         }
     }
@@ -98,7 +105,16 @@ mod tests {
         let parsed = |line: &str| {
             Lab::try_parse_from(std::iter::once("minute4d-lab").chain(line.split(' '))).is_ok()
         };
-        assert!(!parsed("reproduce kitti --data a -o b"));
+        for wrong in [
+            "reproduce kitti --data a -o b",
+            "bench --size 480",
+            "bench --scene 5d",
+        ] {
+            assert!(!parsed(wrong), "{wrong}");
+        }
+        assert!(parsed(
+            "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick"
+        ));
         assert!(parsed(
             "ablate a -o b --data c --rows no-seg,no-track --iterations 100"
         ));

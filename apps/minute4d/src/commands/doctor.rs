@@ -87,7 +87,8 @@ fn examine() -> Result<Machine, Failure> {
     Ok(machine)
 }
 
-pub(super) fn processor() -> Option<String> {
+/// Returns the name of the processor, where the system says it.
+pub fn processor() -> Option<String> {
     let mut system = System::new().ok()?;
     system.refresh_cpu_all();
     let brand = system.cpus().first()?.brand().trim().to_owned();

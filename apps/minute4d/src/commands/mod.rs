@@ -1,7 +1,6 @@
 //! The commands: its options, the call of the library, and the result that is printed.
 
 pub mod batch;
-pub mod bench;
 pub mod doctor;
 pub mod eval;
 pub mod geometry;

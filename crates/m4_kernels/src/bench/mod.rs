@@ -1,5 +1,5 @@
 //! The parts of a kernel benchmark: scenes, timed steps, the minimum work of each kernel, and the
-//! limits of the machine. `minute4d bench` turns them into a report.
+//! limits of the machine. `minute4d-lab bench` turns them into a report.
 
 #[cfg(feature = "gpu")]
 mod gpu;

@@ -13,6 +13,7 @@ mod tracking_effect;
 
 pub use row::Row;
 
+use crate::bench::{aligned, number, today};
 use m4_core::{Capture, CompactMask};
 use m4_geometry::resample::resize_bilinear;
 use m4_io::atomic;
@@ -24,7 +25,6 @@ use minute4d::layout::CAPTURE_FOLDER;
 use minute4d::layout::is_capture;
 use minute4d::observer::check_stop;
 use minute4d::{Settings, environment};
-use minute4d_cli::bench::{aligned, number, today};
 use minute4d_cli::run::Job;
 use minute4d_cli::run::record::{GeometryRecord, RunRecord, Status};
 use minute4d_eval::Error;

@@ -22,11 +22,11 @@ pub use report::{MissingScene, ReproduceReport, SceneAblation, TableReport, Used
 pub use suite::Suite;
 
 use crate::ablate::{self, AblateOptions, Row};
+use crate::bench::today;
 use m4_io::atomic;
 use m4_io::results::Kind;
 use minute4d::json::write_json;
 use minute4d::{Category, Refusal};
-use minute4d_cli::bench::today;
 use minute4d_cli::run::Job;
 use minute4d_eval::Error;
 use minute4d_eval::Protocol;

@@ -156,7 +156,7 @@ pub(super) fn caveat(protocol: Protocol) -> &'static str {
 mod tests {
     use super::super::report::published_lines;
     use super::{Published, published};
-    use minute4d_cli::bench::aligned;
+    use crate::bench::aligned;
     use minute4d_eval::{Protocol, Task};
     use std::path::Path;
 

@@ -3,8 +3,8 @@
 use super::Suite;
 use super::published::{Published, caveat, published};
 use crate::ablate::AblationReport;
+use crate::bench::{aligned, number};
 use minute4d::settings::{Profile, Settings};
-use minute4d_cli::bench::{aligned, number};
 use minute4d_eval::{Protocol, Task};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};

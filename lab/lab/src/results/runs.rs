@@ -153,12 +153,20 @@ impl Program {
         ))
     }
 
+    /// What the laboratory prints with the arguments that `arguments` adds.
+    pub(super) fn lab(
+        &self,
+        arguments: impl FnOnce(&mut Command) -> &mut Command,
+    ) -> Result<String> {
+        printed(arguments(&mut Command::new(&self.0)))
+    }
+
     /// The result among the events that the laboratory prints with `--json`.
     pub(super) fn result(
         &self,
         arguments: impl FnOnce(&mut Command) -> &mut Command,
     ) -> Result<Value> {
-        let lines = printed(arguments(&mut Command::new(&self.0)).arg("--json"))?;
+        let lines = self.lab(|c| arguments(c).arg("--json"))?;
         let mut events = lines
             .lines()
             .filter_map(|line| serde_json::from_str::<Value>(line).ok());

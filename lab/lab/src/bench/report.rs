@@ -175,7 +175,7 @@ pub struct Case {
     pub(super) gpu: Option<GpuCase>,
 }
 
-/// What `minute4d bench` measured.
+/// What `minute4d-lab bench` measured.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BenchReport {
     pub(super) format: String,

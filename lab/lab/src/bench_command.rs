@@ -1,15 +1,15 @@
-//! `minute4d bench`: milliseconds per kernel, next to the limits of the machine.
+//! `minute4d-lab bench`: milliseconds per kernel, next to the limits of the machine.
 
-use super::doctor::processor;
 use crate::bench::{self, BenchConfig};
-use crate::failure::Failure;
-use crate::options::Common;
-use crate::options::{choice, image_size, vram_limit};
-use crate::output::Output;
 use clap::Args;
 use clap::builder::TypedValueParser;
 use m4_kernels::bench::SceneKind;
 use minute4d::device::DeviceChoice;
+use minute4d_cli::Common;
+use minute4d_cli::failure::Failure;
+use minute4d_cli::options::{choice, image_size, vram_limit};
+use minute4d_cli::output::Output;
+use minute4d_cli::processor;
 
 #[derive(Debug, Args)]
 pub struct Bench {

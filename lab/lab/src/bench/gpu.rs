@@ -1,8 +1,7 @@
 //! Benchmark cases on a GPU.
 
-use super::{
-    BenchConfig, Case, Fastest, GpuCase, GpuMachine, Millis, Step, Timed, case, mean_over,
-};
+use super::report::GpuMachine;
+use super::{BenchConfig, Case, Fastest, GpuCase, Millis, Step, Timed, case, mean_over};
 use cpu_time::ProcessTime;
 use m4_kernels::bench::{Bench as Host, Counts, Probe, SceneConfig};
 use m4_kernels::gpu::{Choice, Gpu, GpuError, Laps, adapters, automatic};

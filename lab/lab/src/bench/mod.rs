@@ -8,10 +8,9 @@ mod gpu;
 mod report;
 mod table;
 
-pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
+pub use report::{BenchReport, Bound, Case, GpuCase, KernelRow, Machine, StepRow};
 pub use table::{aligned, number, today};
 
-use crate::run::with_threads;
 use cpu_time::ProcessTime;
 use m4_kernels::bench::{
     Bench, Counts, PEAK_EVALUATIONS, Probe, SceneConfig, SceneKind, Times, Work,
@@ -20,6 +19,7 @@ use m4_kernels::{Kernel, SimdLevel};
 use minute4d::device::DeviceChoice;
 use minute4d::observer::check_stop;
 use minute4d::{Error, Observer};
+use minute4d_cli::run::with_threads;
 use std::time::{Duration, Instant};
 
 /// What to time: every combination of the lists.
@@ -46,7 +46,7 @@ pub struct BenchConfig {
 impl Default for BenchConfig {
     /// Three numbers of splats, two sizes, static and moving, one thread and all threads.
     fn default() -> Self {
-        let all = rayon::current_num_threads();
+        let all = minute4d_cli::run::threads();
         Self {
             splats: vec![20_000, 100_000, 300_000],
             sizes: vec![(480, 360), (960, 720)],
@@ -214,7 +214,7 @@ fn case(
         threads: if gpu.is_some() {
             1
         } else {
-            rayon::current_num_threads()
+            minute4d_cli::run::threads()
         },
         alive: mean(|c| (c.alive[0] + c.alive[1]) as f64),
         visible: mean(|c| c.visible as f64),
@@ -311,7 +311,7 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
         kernels,
         Step {
             ms,
-            busy: cpu / (wall * rayon::current_num_threads() as f64),
+            busy: cpu / (wall * minute4d_cli::run::threads() as f64),
             loss,
         },
     )
@@ -356,7 +356,7 @@ fn row(
                 .find(|p| p.level == level.name())
                 .map(|p| if forward { p.forward } else { p.backward });
             peak.map_or(0.0, |peak| {
-                work.evaluations / (peak * rayon::current_num_threads() as f64)
+                work.evaluations / (peak * minute4d_cli::run::threads() as f64)
             })
         }
         None => {
