@@ -1,5 +1,5 @@
-//! Reconstructs a video, trains a scene and renders it from a camera beside the path:
-//! `cargo run --release -p minute4d --example video_to_frames -- CLIP FOLDER [SECONDS]`.
+//! Reconstructs a video, trains a scene and renders it from a camera beside the path, and writes
+//! its page: `cargo run --release -p minute4d --example video_to_frames -- CLIP FOLDER [SECONDS]`.
 
 #![expect(
     clippy::print_stdout,
@@ -44,5 +44,10 @@ pub fn run(mut args: impl Iterator<Item = String>) -> Result<(), Box<dyn std::er
         )?;
     }
     scene.write(folder.join("scene.safetensors"))?;
+    scene.write_page(
+        folder.join("viewer.html"),
+        "example",
+        &reconstruction.capture,
+    )?;
     Ok(())
 }

@@ -26,6 +26,8 @@ fn a_video_becomes_frames_and_a_scene_becomes_a_video() {
     let dir = Scratch::new();
     clips::write(&dir.path("clip"), walk(12).iter().map(frame_image));
     video_to_frames::run(words(&[&dir.at("clip"), &dir.at("out"), "1"])).unwrap();
+    let page = String::from_utf8(dir.read("out/viewer.html")).unwrap();
+    assert!(m4_viewer::page::read(&page).is_ok());
     let frame = read_rgb(&dir.path("out/00003.png")).unwrap();
     assert_eq!(frame.size(), clips::SIZE);
     assert!(

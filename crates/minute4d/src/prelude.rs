@@ -6,6 +6,7 @@ pub use m4_core::{Camera, Capture, RgbImage, Scene};
 
 use crate::Error;
 use crate::export::{self, Format};
+use crate::page::{Page, median_depth, pack};
 use crate::render::Painter;
 use m4_core::{Exposure, Silent, Splats};
 use m4_io::capture::{CaptureOptions, Split};
@@ -80,6 +81,21 @@ pub trait SceneExt: Sized {
     /// [`Error::Simd`] if vector instructions are asked for that this processor lacks.
     fn render(&self, camera: &Camera, t: f64) -> Result<RgbImage, Error>;
 
+    /// Writes the page that shows the scene in a browser, one file, whole or not at all; an
+    /// existing file is replaced. The frames of `capture`, that of the training, are shown beside
+    /// it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Frames`] if the frames cannot be encoded, [`Error::Page`] if the page cannot be
+    /// made, [`Error::Write`].
+    fn write_page(
+        &self,
+        path: impl AsRef<Path>,
+        title: &str,
+        capture: &Capture,
+    ) -> Result<(), Error>;
+
     /// Exports the scene for other tools, in the format that the ending of `path` names
     /// (`docs/formats.md`); formats of one instant get the middle of the clip. Returns what the
     /// format cannot hold.
@@ -111,6 +127,16 @@ impl SceneExt for Scene {
 
     fn render(&self, camera: &Camera, t: f64) -> Result<RgbImage, Error> {
         Ok(Painter::new(self, SimdLevel::detect()?).image(camera, t, &Exposure::IDENTITY))
+    }
+
+    fn write_page(
+        &self,
+        path: impl AsRef<Path>,
+        title: &str,
+        capture: &Capture,
+    ) -> Result<(), Error> {
+        let depth = median_depth(self, SimdLevel::detect()?);
+        Page::new(pack(self, title, depth), capture, self)?.write(path.as_ref())
     }
 
     fn export(&self, path: impl AsRef<Path>) -> Result<export::Losses, Error> {

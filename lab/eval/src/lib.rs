@@ -161,8 +161,8 @@ pub struct EvalReport {
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] without held-out views, or if the capture cannot be judged by the protocol;
-/// else what could not be read, compared or written.
+/// [`minute4d::Error::Refused`] without held-out views, or if the capture cannot be judged by the
+/// protocol; else what could not be read, compared or written.
 pub fn views(
     out: &Path,
     data: &Path,

@@ -18,7 +18,7 @@ const TRACKS_FILE: &str = "tracks.npz";
 ///
 /// # Errors
 ///
-/// What could not be read; [`Error::Missing`] without tracks.
+/// What could not be read; [`minute4d::Error::Missing`] without tracks.
 pub fn motion(scene: &Path, reach: Reach, observer: &dyn Observer) -> Result<MotionErrors, Error> {
     let settings = Settings::fast();
     let options = CaptureOptions {

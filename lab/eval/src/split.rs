@@ -50,7 +50,7 @@ impl SplitRecord {
     ///
     /// # Errors
     ///
-    /// [`Error::Read`] if there is one that cannot be read.
+    /// [`minute4d::Error::Read`] if there is one that cannot be read.
     pub fn read(capture: &Path) -> Result<Option<Self>, Error> {
         let path = capture.join(SPLIT_FILE);
         match files::read(&path, MAX_RECORD_BYTES) {
@@ -131,8 +131,9 @@ fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, Refusal> {
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] for a protocol or a capture that cannot be split; [`Error::Output`] for a
-/// folder that holds something; else what could not be read or written.
+/// [`minute4d::Error::Refused`] for a protocol or a capture that cannot be split;
+/// [`minute4d::Error::Output`] for a folder that holds something; else what could not be read or
+/// written.
 pub fn split(
     data: &Path,
     protocol: Protocol,

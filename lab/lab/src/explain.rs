@@ -37,7 +37,7 @@ pub struct ExplainRow {
 /// # Errors
 ///
 /// What cannot be read or written; [`Error::ScoreGeometry`] if the two cannot be compared;
-/// [`Error::Refused`] without held-out views.
+/// [`minute4d::Error::Refused`] without held-out views.
 pub fn explain(
     capture: &Path,
     truth: &Path,

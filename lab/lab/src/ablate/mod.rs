@@ -161,8 +161,8 @@ pub struct AblateOptions {
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] without held-out views; else [`Error`] of the row that failed, or what cannot
-/// be read or written.
+/// [`minute4d::Error::Refused`] without held-out views; else [`Error`] of the row that failed, or
+/// what cannot be read or written.
 pub fn ablate(
     input: &Path,
     out: &Path,

@@ -76,8 +76,8 @@ pub struct ReproduceOptions {
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] where no scene of the data set is in `data`, with where people get them;
-/// [`Error`] of the scene that failed, when those before it are kept.
+/// [`minute4d::Error::Refused`] where no scene of the data set is in `data`, with where people get
+/// them; [`Error`] of the scene that failed, when those before it are kept.
 pub fn reproduce(
     suite: Suite,
     data: &Path,
