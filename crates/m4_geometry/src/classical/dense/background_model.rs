@@ -7,7 +7,6 @@
 //! swings, masks may cover a pixel in every frame; its background is then the colour that recurs
 //! between those of the object.
 
-use super::matte;
 use super::motion::mask;
 use super::shot::{Pair, Shot};
 use crate::FrameRate;
@@ -255,16 +254,7 @@ pub(super) fn sharpen(
         }
     }
     let smooth = smoother.fill(&value, &weight, SMOOTH_LAMBDA).0;
-    let colours: Vec<Option<[f32; 3]>> = background
-        .into_iter()
-        .map(|b| b.map(|b| b.colour))
-        .collect();
-    matte::outline(
-        (w, h),
-        &scene.shots[i].frame.rgb,
-        &colours,
-        &mask(w, h, &smooth),
-    )
+    mask(w, h, &smooth)
 }
 
 /// Frames the usual colours of a static camera are the median of, spread over the clip.

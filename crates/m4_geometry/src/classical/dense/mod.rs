@@ -31,11 +31,9 @@
 //! (Merrell et al. 2007).
 
 mod background_model;
-mod edges;
 mod estimate;
 mod fusion;
 mod layers;
-mod matte;
 mod mono;
 mod motion;
 mod motion_segmentation;

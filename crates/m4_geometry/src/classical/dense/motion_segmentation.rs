@@ -2,7 +2,6 @@
 //! found from the other in turn.
 
 use super::background_model;
-use super::edges;
 use super::fusion::{self, DepthMap};
 use super::layers;
 use super::mono::Mono;
@@ -167,15 +166,9 @@ impl Segmentation<'_> {
             )
         })?;
         drop(refined);
-        let merged = edges::Merged {
-            shots: self.shots,
-            cameras,
-            depth: &merged,
-            dynamic,
-        };
         self.each("filling depth", |i| {
             let smoother = self.smoother(i);
-            let mut fused = merged.assigned(i, &at(&all, i, &edges::PARALLAX_PX, 0), &smoother);
+            let mut fused = merged[i].clone();
             self.mono.impose(i, &mut fused, Some(&dynamic[i]));
             let fused = self.mono.with_prior(i, &fused, Some(&dynamic[i]));
             static_depth::fill_planes(&self.shots[i], smoother, &fused, Some(&dynamic[i]))
