@@ -2,7 +2,7 @@
 
 use super::alone;
 use crate::reader::{Around, Outcome, Reader};
-use m4_kernels::SimdLevel;
+use minute4d::m4_kernels::SimdLevel;
 use minute4d::settings::{Layers, Settings};
 use minute4d_cli::batch::{
     Arguments, ClipReport, Job, JobRecord, Manifest, Outcome as JobOutcome, Report, VERSION,

@@ -7,7 +7,7 @@
 //!                                                     ^                              |
 //!                                                     '------- once more ------------|
 //!                                                                                    v
-//!                           static depth over wide baselines: refined on brightness, merged over the frames, at steps one of two surfaces, filled by planes
+//!                           static depth over wide baselines: refined on brightness, merged over the frames, filled by planes
 //!                                                                                    |
 //!                                                                                    v
 //!                                                             outlines of the masks: what differs from the background behind them
