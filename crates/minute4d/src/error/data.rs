@@ -94,7 +94,7 @@ impl From<ErrorKind> for Category {
 #[non_exhaustive]
 pub enum OutputError {
     /// A folder with other files in it.
-    #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or {} with what is ours in it", path.display(), REPLACE)]
+    #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or {}: other files in it are kept", path.display(), REPLACE)]
     NotOurs {
         /// The folder.
         path: PathBuf,
