@@ -1,7 +1,9 @@
 //! Failures of a command: an exit code and one line of text. A panic is a bug: it ends the program
 //! with exit code 1 and a report that a user can send.
 
+use crate::BUILD_FULL;
 use crate::advice::with_options;
+use minute4d::NetworkError;
 #[cfg(feature = "nets")]
 use minute4d::weights::{self, Entry, Origin, WeightsError};
 use std::backtrace::{Backtrace, BacktraceStatus};
@@ -38,9 +40,12 @@ impl From<minute4d::Error> for Failure {
 
 impl From<minute4d_eval::Error> for Failure {
     fn from(error: minute4d_eval::Error) -> Self {
-        Self {
-            code: error.category().exit_code(),
-            reason: chain(&error),
+        match error {
+            minute4d_eval::Error::Minute4d(error) => error.into(),
+            error => Self {
+                code: error.category().exit_code(),
+                reason: chain(&error),
+            },
         }
     }
 }
@@ -70,12 +75,25 @@ pub fn chain(error: &(dyn Error + 'static)) -> String {
         }
         cause = inner.source();
     }
-    let text = with_options(&text);
+    let mut text = with_options(&text);
+    if lacks_a_feature(error) {
+        text += &format!("; `{BUILD_FULL}` builds the program with it");
+    }
     #[cfg(feature = "nets")]
     if let Some(command) = weights {
         return format!("{text}. `{command}` gets them");
     }
     text
+}
+
+/// Whether another build of the program could do it.
+fn lacks_a_feature(error: &(dyn Error + 'static)) -> bool {
+    matches!(
+        error.downcast_ref::<minute4d::Error>(),
+        Some(
+            minute4d::Error::NoGpuSupport | minute4d::Error::Network(NetworkError::NotBuilt { .. })
+        )
+    )
 }
 
 /// The command that gets weights which an error misses.

@@ -16,6 +16,10 @@ mod program;
 pub mod run;
 pub mod view;
 
+/// The command that builds the program with GPU support and networks, for messages about missing
+/// features.
+pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
+
 pub use cli::Cli;
 pub use commands::doctor::processor;
 pub use options::Common;

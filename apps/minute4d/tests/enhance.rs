@@ -4,9 +4,9 @@
 use crate::common::{Ended, capture};
 use crate::common::{Scratch, read_capture, write_capture};
 use m4_io::capture::Split;
-use minute4d::BUILD_FULL;
 #[cfg(feature = "nets")]
 use minute4d::Silent;
+use minute4d_cli::BUILD_FULL;
 #[cfg(feature = "nets")]
 use std::fs;
 

@@ -2,7 +2,7 @@
 
 use crate::common::Scratch;
 #[cfg(not(all(feature = "gpu", feature = "nets")))]
-use minute4d::BUILD_FULL;
+use minute4d_cli::BUILD_FULL;
 
 #[cfg(not(all(feature = "gpu", feature = "nets")))]
 const CLIP: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4");

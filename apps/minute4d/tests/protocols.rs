@@ -68,7 +68,7 @@ fn eval_by_protocol_reports_every_choice() {
             .contains(if cfg!(feature = "nets") {
                 "weights lpips-alex are not installed"
             } else {
-                minute4d::BUILD_FULL
+                "built without networks"
             }),
         "{c}"
     );

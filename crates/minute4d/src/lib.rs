@@ -51,7 +51,7 @@ mod time;
 mod video;
 
 pub use error::{
-    BUILD_FULL, Category, DataError, EnhanceError, Error, NetworkError, NetworkMethod, OutputError,
+    Category, DataError, EnhanceError, Error, NetworkError, NetworkMethod, OutputError,
     ReconstructionError, Refusal,
 };
 pub use json::plain_json;

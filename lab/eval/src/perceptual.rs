@@ -184,10 +184,7 @@ impl Perceptual {
         _: usize,
         _: DeviceChoice,
     ) -> Result<Self, Error> {
-        let why = format!(
-            "this program was built without networks: `{}` builds it with them",
-            minute4d::BUILD_FULL
-        );
+        let why = "this program was built without networks (the feature nets)".to_owned();
         let choices = wanted
             .iter()
             .map(|&net| choice(net, masked, Some(why.clone())));

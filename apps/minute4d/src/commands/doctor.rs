@@ -159,7 +159,7 @@ fn notes(machine: &Machine) -> Vec<String> {
     if !cfg!(feature = "gpu") {
         notes.push(format!(
             "this program was built without GPU support; `{}` builds it with it",
-            minute4d::BUILD_FULL
+            crate::BUILD_FULL
         ));
     } else if machine.gpus.is_empty() {
         notes.push(

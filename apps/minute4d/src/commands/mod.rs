@@ -15,8 +15,9 @@ pub mod weights;
 /// build with them.
 #[cfg(not(feature = "nets"))]
 pub mod weights {
+    use crate::BUILD_FULL;
     use crate::failure::Failure;
-    use minute4d::{BUILD_FULL, Category};
+    use minute4d::Category;
 
     #[derive(Debug, clap::Args)]
     pub struct Weights {

@@ -32,10 +32,6 @@ use m4_viewer::server::ServeError;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The command that builds the program with GPU support and networks, for messages about missing
-/// features.
-pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
-
 /// Why a stage failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -109,7 +105,7 @@ pub enum Error {
     Gpu(#[from] m4_kernels::gpu::GpuError),
     /// A GPU was requested in a build without GPU support.
     #[error(
-        "this program was built without GPU support: `{BUILD_FULL}` builds it with it; or {}",
+        "this program was built without GPU support (the feature gpu); {}",
         CPU
     )]
     NoGpuSupport,

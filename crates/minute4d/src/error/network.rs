@@ -1,8 +1,8 @@
 //! Errors of pretrained networks.
 
+use super::Category;
 #[cfg(feature = "nets")]
 use super::WeightsError;
-use super::{BUILD_FULL, Category};
 use crate::settings::{FrontendPart, Segmenter, Tracker};
 use m4_core::advice::{CLASSICAL, FLOW_TRACKER, NO_SEGMENTER};
 use std::fmt;
@@ -47,8 +47,7 @@ impl fmt::Display for NetworkMethod {
 pub enum NetworkError {
     /// The program was built without networks.
     #[error(
-        "this program was built without networks, which the {method} needs: `{BUILD_FULL}` builds it with them; \
-         or {}",
+        "this program was built without networks (the feature nets), which the {method} needs; {}",
         method.without()
     )]
     NotBuilt {
