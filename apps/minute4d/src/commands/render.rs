@@ -40,8 +40,8 @@ pub struct Render {
         help_heading = "Camera paths"
     )]
     pub seconds: Option<f64>,
-    /// The time in the video from whose camera a path starts [default: the middle, or T of
-    /// freeze@T]. For `bullet`, the time that is frozen; for `train`, `source` and `stabilised`,
+    /// The time in the video from whose camera a path starts (default: the middle, or T of
+    /// `freeze@T`). For `bullet`, the time that is frozen; for `train`, `source` and `stabilised`,
     /// render only this image
     #[arg(long, value_name = "T", help_heading = "Camera paths")]
     pub at: Option<String>,

@@ -144,8 +144,8 @@ pub(crate) struct Band {
 /// The blocks and tiles that a splat reaches.
 #[derive(Debug, Clone, Copy, Default)]
 struct Footprint {
-    /// As [`Part::tiles`](super::handover::Part); for more than [`WINDOW_BLOCKS`] blocks the place
-    /// in [`Band::far`].
+    /// As [`BandGroup::tiles`](super::handover::BandGroup); for more than [`WINDOW_BLOCKS`] blocks
+    /// the place in [`Band::far`].
     tiles: u64,
     row: u32,
     /// The range of blocks.
