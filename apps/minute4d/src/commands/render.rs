@@ -54,7 +54,7 @@ pub struct Render {
     )]
     pub degrees: Option<f64>,
     /// Device that renders: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or
-    /// `auto` (the best graphics card, else the CPU)
+    /// `auto` (the best GPU, falling back to the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "auto")]
     pub device: DeviceChoice,
     /// Replace existing images or an existing video
