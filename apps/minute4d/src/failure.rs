@@ -99,7 +99,12 @@ fn lacks_a_feature(error: &(dyn Error + 'static)) -> bool {
 /// The command that gets weights which an error misses.
 #[cfg(feature = "nets")]
 fn command_for(error: &(dyn Error + 'static)) -> Option<String> {
-    match error.downcast_ref::<WeightsError>()? {
+    // the library's error stands for that of the weights, and is not its cause
+    let weights = match error.downcast_ref::<minute4d::Error>() {
+        Some(minute4d::Error::Weights(weights)) => Some(weights),
+        _ => error.downcast_ref::<WeightsError>(),
+    };
+    match weights? {
         WeightsError::Absent { name, .. } => weights::find(name).ok().map(command),
         _ => None,
     }
