@@ -186,3 +186,19 @@ fn what_hides_arrows_is_refused() {
     assert!(refused("mod high; mod gone;", "").contains("no file crates/x/src/gone/mod.rs"));
     assert!(refused("mod high;", "fn (").contains("high.rs"));
 }
+
+#[test]
+fn a_root_that_uses_no_module_is_part_of_no_circle() {
+    let sources: Sources = [
+        ("c/src/lib.rs", "mod a;\nconst BUILD: &str = \"b\";"),
+        (
+            "c/src/a.rs",
+            "pub fn build() -> &'static str { crate::BUILD }",
+        ),
+    ]
+    .map(|(file, text)| (file.to_owned(), text.to_owned()))
+    .into();
+    let modules = modules("c/src/", &sources).unwrap();
+    assert!(modules["a"].contains_key("lib.rs"));
+    assert!(cycles(&modules).is_empty());
+}

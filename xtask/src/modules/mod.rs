@@ -313,7 +313,7 @@ pub fn cycles(modules: &Modules) -> Vec<BTreeSet<&str>> {
         knots.insert(
             to.iter()
                 .copied()
-                .filter(|other| all[other].contains(name))
+                .filter(|other| all.get(other).is_some_and(|back| back.contains(name)))
                 .collect(),
         );
     }
