@@ -7,7 +7,7 @@ use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image, see, walk}
 use crate::common::text;
 use crate::common::{Ended, Scratch, read_capture};
 use m4_core::{
-    Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage, log_so3,
+    Camera, Capture, CaptureFrame, CounterRng, DepthMap, Mask, Plane, RgbImage, Sim3, log_so3,
 };
 use m4_eval::geometry::placement;
 use m4_io::capture::{self, Split};
@@ -184,6 +184,69 @@ fn given_intrinsics_are_used_with_their_principal_point() {
     ] {
         dir.refused(&format!("{GEOMETRY} --intrinsics {lens}"), code, &[words]);
     }
+}
+
+/// Writes the clip `bent/` of an action camera: 120 degrees from corner to corner, equisolid, so
+/// that a ray at an angle `a` arrives `2 * 100 sin(a / 2)` pixels from the centre.
+fn write_bent_clip() -> (Scratch, Vec<Camera>) {
+    let (dir, mut cameras) = (Scratch::new(), walk(2 * FRAMES));
+    let (cx, cy) = (SIZE.0 as f64 / 2.0, SIZE.1 as f64 / 2.0);
+    for camera in &mut cameras {
+        (camera.intrinsics.fx, camera.intrinsics.fy) = (100.0, 100.0);
+    }
+    let image = |camera: &Camera| {
+        Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
+            let (dx, dy) = (x as f64 + 0.5 - cx, y as f64 + 0.5 - cy);
+            let r = dx.hypot(dy);
+            let stretch = 100.0 * (2.0 * (r / 200.0).asin()).tan() / r;
+            see(camera, cx + dx * stretch - 0.5, cy + dy * stretch - 0.5).0
+        })
+    };
+    clips::write(&dir.path("bent"), cameras.iter().map(image));
+    (dir, cameras)
+}
+
+/// Root mean square distance of camera centres after alignment over the length of the path.
+fn path_error(capture: &Capture, cameras: &[Camera]) -> f64 {
+    let centres: Vec<_> = capture.frames.iter().map(|f| f.camera.centre()).collect();
+    let truth: Vec<_> = cameras.iter().map(Camera::centre).collect();
+    let world = Sim3::umeyama(&centres, &truth).unwrap();
+    let pairs = centres.iter().zip(&truth);
+    let squared: f64 = pairs
+        .map(|(a, b)| (world.transform(a) - b).norm_squared())
+        .sum();
+    let length: f64 = truth.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    (squared / truth.len() as f64).sqrt() / length
+}
+
+#[test]
+fn frames_of_an_action_camera_are_straightened() {
+    let (dir, cameras) = write_bent_clip();
+    let ended = dir.succeed("geometry bent -o out --json");
+    assert!(
+        ended.stderr.contains("the lens bends straight lines"),
+        "{}",
+        ended.stderr
+    );
+    let result = ended.result();
+    let summary = &result["record"]["found"];
+    let focal_px = summary["distortion"]["focal_px"].as_f64().unwrap();
+    assert!((focal_px / 100.0 - 1.0).abs() < 0.02, "{summary}");
+    let capture = read_capture(&dir.path("out"), Split::Train);
+    let error = path_error(&capture, &cameras);
+    assert!(error < 0.001, "{error}");
+
+    // The same lens in a file: as OpenCV's fisheye, the series of the sine.
+    let lens = json!({"fl_x": 100, "w": SIZE.0, "h": SIZE.1, "camera_model": "OPENCV_FISHEYE",
+                      "k1": -1.0 / 24.0, "k2": 1.0 / 1920.0});
+    dir.write("lens.json", lens.to_string());
+    let ended = dir.succeed("geometry bent -o given --json --lens lens.json");
+    let summary = &ended.result()["record"]["found"];
+    assert_eq!(summary["distortion"], Value::Null, "{summary}");
+    assert!(summary["residual_px"].as_f64().unwrap() < 0.3, "{summary}");
+    let capture = read_capture(&dir.path("given"), Split::Train);
+    let error = path_error(&capture, &cameras);
+    assert!(error < 0.001, "{error}");
 }
 
 #[test]

@@ -20,12 +20,23 @@ pub trait StepCache: Sync {
 pub struct Steps<'a> {
     progress: &'a dyn Progress,
     cache: Option<&'a dyn StepCache>,
+    /// What the names of the steps begin with.
+    prefix: &'static str,
 }
 
 impl<'a> Steps<'a> {
     /// Steps that are kept in `cache`; in none, every step is computed.
     pub fn new(progress: &'a dyn Progress, cache: Option<&'a dyn StepCache>) -> Self {
-        Self { progress, cache }
+        Self {
+            progress,
+            cache,
+            prefix: "",
+        }
+    }
+
+    /// The same steps under names of their own, which begin with `prefix`.
+    pub(crate) fn named(self, prefix: &'static str) -> Self {
+        Self { prefix, ..self }
     }
 
     /// Receives progress and warnings, and says when to stop.
@@ -54,7 +65,7 @@ impl<'a> Steps<'a> {
 
     /// Returns a kept value, bit by bit.
     pub(crate) fn load<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
-        postcard::from_bytes(&self.cache?.get(name)?).ok()
+        postcard::from_bytes(&self.cache?.get(&format!("{}{name}", self.prefix))?).ok()
     }
 
     /// Keeps a value.
@@ -63,7 +74,7 @@ impl<'a> Steps<'a> {
         if let Some(cache) = self.cache
             && let Ok(bytes) = postcard::to_stdvec(value)
         {
-            cache.put(name, bytes);
+            cache.put(&format!("{}{name}", self.prefix), bytes);
         }
     }
 }

@@ -146,9 +146,9 @@ pub struct VideoArgs {
     /// Tracking method [default: auto]
     #[arg(long, value_parser = trackers())]
     pub tracker: Option<Tracker>,
-    /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers, in pixels
-    /// of the frames
-    #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
+    /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, and k1 to k4, p1, p2 and
+    /// camera_model where the lens has distortion; or four numbers, in pixels of the frames
+    #[arg(long, visible_alias = "lens", value_name = "FILE|FX,FY,CX,CY")]
     pub intrinsics: Option<String>,
     /// Camera poses, one per frame: the transforms.json of a capture or of nerfstudio
     #[arg(long, value_name = "FILE")]

@@ -23,6 +23,12 @@ pub enum Distortion {
         /// `k1 k2 k3 k4`.
         k: [f64; 4],
     },
+    /// The division model (Fitzgibbon 2001): the distance `d` from the axis in the image is that of
+    /// a pinhole's point at `d / (1 + k d^2)`.
+    Division {
+        /// Below 0: barrel.
+        k: f64,
+    },
 }
 
 impl Distortion {
@@ -66,6 +72,11 @@ impl Distortion {
                 let bent = a * (1.0 + a2 * (k[0] + a2 * (k[1] + a2 * (k[2] + a2 * k[3]))));
                 [x * bent / r, y * bent / r]
             }
+            Self::Division { k } => {
+                // The root ends at 0 where a pincushion shows no more.
+                let root = (1.0 - 4.0 * k * (x * x + y * y)).max(0.0).sqrt();
+                [x, y].map(|v| 2.0 * v / (1.0 + root))
+            }
         }
     }
 
@@ -78,6 +89,7 @@ impl Distortion {
                 radial.iter().chain(tangential).all(|v| v.is_finite())
             }
             Self::Fisheye { k } => k.iter().all(|v| v.is_finite()),
+            Self::Division { k } => k.is_finite(),
         }
     }
 }
@@ -149,8 +161,11 @@ pub struct Undistort {
 }
 
 impl Undistort {
-    /// `None` for a lens without distortion; fails where no pinhole can show the image (the
-    /// distortion is not monotone).
+    /// Plans the removal of the distortion of `lens`; `None` for a pinhole.
+    ///
+    /// # Errors
+    ///
+    /// No pinhole can show the image: the distortion is not monotone.
     pub fn new(lens: &Lens) -> Result<Option<Self>, Fault> {
         if lens.distortion == Distortion::None {
             return Ok(None);
@@ -231,7 +246,7 @@ impl Undistort {
         })
     }
 
-    /// An image of the stored size through the pinhole, bilinear.
+    /// Shows an image of the stored size through the pinhole, bilinear.
     #[must_use]
     pub fn rgb(&self, image: &RgbImage) -> RgbImage {
         let (w, h) = image.size();
@@ -253,7 +268,7 @@ impl Undistort {
         })
     }
 
-    /// A map or mask of any size through the pinhole, the nearest value.
+    /// Shows a map or mask of any size through the pinhole, the nearest value.
     #[must_use]
     pub fn nearest<T: Copy>(&self, map: &Plane<T>) -> Plane<T> {
         let (w, h) = map.size();

@@ -31,7 +31,7 @@ mod files;
 mod lens;
 mod listing;
 
-pub(crate) use lens::{Distortion, Lens};
+pub use lens::{Distortion, Lens, Undistort};
 pub(crate) use listing::{FrameSource, ListedFrame, Listing, load, step};
 pub use listing::{ImportOptions, Imported};
 

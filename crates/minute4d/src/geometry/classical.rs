@@ -9,19 +9,35 @@ use super::depth::{rescale, set_unit, unit};
 use super::frontend::MonoClip;
 use super::given::Given;
 use super::iterate;
+use super::lens;
 use crate::Error;
 use m4_core::{Camera, Capture, RgbImage, Tracks};
 use m4_geometry::FrameRate;
 use m4_geometry::classical::CameraMotion;
 use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, estimate};
-use m4_geometry::classical::sparse::{self, FeatureTracks, Recovered, SparseConfig};
+use m4_geometry::classical::sparse::{
+    self, FeatureTracks, RadialDistortion, Recovered, SparseConfig,
+};
 
 /// Reconstructs `clip`.
 pub(super) fn compute(
-    clip: Clip,
+    mut clip: Clip,
     context: &Context<'_>,
 ) -> Result<(Capture, GeometrySummary), Error> {
-    let (pass, summary) = Reconstruction::new(&clip, context)?.run()?;
+    let (mut context, mut distortion) = (*context, None);
+    let (pass, mut summary) = loop {
+        match attempt(&clip, &context)? {
+            Ok(result) => break result,
+            Err(lens) => {
+                context.observer().warn(&lens::note(&lens));
+                clip.straighten(&clip.lens(&lens))?;
+                clip.sparse.pinhole = true;
+                context.steps = context.steps.named("straight-");
+                distortion = Some(lens);
+            }
+        }
+    };
+    summary.distortion = distortion;
     let (cameras, dense) = (pass.recovered.sparse.cameras, pass.dense);
     let frames = cameras
         .into_iter()
@@ -33,6 +49,20 @@ pub(super) fn compute(
             motion: None,
         });
     Ok((clip.capture(frames, pass.metric, dense.tracks), summary))
+}
+
+/// Reconstructs `clip` as of a pinhole; the inner error is the lens that it turns out to have.
+fn attempt(
+    clip: &Clip,
+    context: &Context<'_>,
+) -> Result<Result<(Pass, GeometrySummary), RadialDistortion>, Error> {
+    let mut reconstruction = Reconstruction::new(clip, context)?;
+    let (followed, recovered) = reconstruction.cameras()?;
+    if let Some(lens) = recovered.distortion {
+        return Ok(Err(lens));
+    }
+    reconstruction.config.pinhole = true;
+    reconstruction.run(&followed, recovered).map(Ok)
 }
 
 /// A clip with the sources of flow, masks and depth.
@@ -90,19 +120,17 @@ impl<'a> Reconstruction<'a> {
         })
     }
 
-    fn run(&self) -> Result<(Pass, GeometrySummary), Error> {
-        let (followed, recovered) = self.cameras()?;
+    fn run(
+        &self,
+        followed: &FeatureTracks,
+        recovered: Recovered,
+    ) -> Result<(Pass, GeometrySummary), Error> {
         let mut pass = self.pass("dense", recovered)?;
         let mut rounds = 1;
         if self.given.masks.is_none() && self.given.cameras.is_none() {
             let (first, frames) = (&pass.recovered.sparse, &mut pass.dense.frames);
-            let better = iterate::without_masked(
-                &followed,
-                first,
-                frames,
-                &self.config,
-                self.context.steps,
-            )?;
+            let better =
+                iterate::without_masked(followed, first, frames, &self.config, self.context.steps)?;
             if let Some(better) = better {
                 // Memory holds one result at a time.
                 drop(pass);

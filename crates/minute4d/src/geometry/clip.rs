@@ -54,14 +54,20 @@ impl Clip {
         let focal_px = sparse.focal_px.or(sparse.fov_deg.map(from_fov));
         let given = Given::read(&settings.geometry, input, &video, settings.video.folder_fps)?;
         if let Some(lens) = given.lens {
-            sparse.intrinsics = Some([lens.fx, lens.fy, lens.cx, lens.cy]);
+            let k = lens.intrinsics;
+            sparse.intrinsics = Some([k.fx, k.fy, k.cx, k.cy]);
         }
-        Ok(Self {
+        let lens = given.lens;
+        let mut clip = Self {
             video,
             given,
             sparse,
             focal_px,
-        })
+        };
+        if let Some(lens) = &lens {
+            clip.straighten(lens)?;
+        }
+        Ok(clip)
     }
 
     /// The images.

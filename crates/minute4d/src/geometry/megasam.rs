@@ -33,7 +33,7 @@ pub(super) fn compute(
     let images = clip.images();
     let full = images.first().map_or((0, 0), |p| p.size());
     let size = TrackingSize::new(full, settings.tracking_pixels)?;
-    let known_focal_px = given.lens.map(|lens| lens.fx).or(clip.focal_px);
+    let known_focal_px = given.lens.map(|lens| lens.intrinsics.fx).or(clip.focal_px);
     let mono = match given.depth {
         Some(_) => None,
         None => plan.depth(&images, known_focal_px, device, steps)?,
@@ -42,7 +42,7 @@ pub(super) fn compute(
     let prior = depth.map(|mono: &MonoClip| mono.prior(&size)).transpose()?;
     let fov_rad = depth.and_then(|mono| mono.fov_rad);
     drop(mono);
-    let lens = given.lens.unwrap_or_else(|| {
+    let lens = given.lens.map(|lens| lens.intrinsics).unwrap_or_else(|| {
         let fov_rad = fov_rad.unwrap_or(settings.default_fov_deg.to_radians());
         let of_fov = 0.5 * full.0 as f64 / (0.5 * fov_rad).tan();
         Intrinsics::centred(full.0, full.1, known_focal_px.unwrap_or(of_fov))

@@ -20,6 +20,7 @@ mod depth;
 mod frontend;
 mod given;
 mod iterate;
+mod lens;
 #[cfg(feature = "nets")]
 mod megasam;
 mod summary;

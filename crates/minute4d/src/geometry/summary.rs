@@ -2,6 +2,7 @@
 
 use super::Confidence;
 use crate::networks::UsedNetwork;
+use m4_geometry::classical::sparse::RadialDistortion;
 use serde::{Deserialize, Serialize};
 
 /// The results of the geometry stage.
@@ -15,6 +16,10 @@ pub struct GeometrySummary {
     pub focal_px: f64,
     /// The same as a field of view, degrees.
     pub fov_deg: f64,
+    /// Distortion that the clip showed and that was taken out of its frames; `focal_px` above is
+    /// that of the straight frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distortion: Option<RadialDistortion>,
     /// `parallax`, `rotation_only` or `static`.
     pub camera_motion: String,
     /// Median reprojection error of static regions, pixels.

@@ -17,7 +17,8 @@ pub struct GeometryOptions {
     /// Tracking method.
     pub tracker: Tracker,
     /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner),
-    /// or a JSON file with `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`.
+    /// or a JSON file with `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` and, where the lens has
+    /// distortion, the coefficients and `camera_model` of nerfstudio.
     pub intrinsics: Option<String>,
     /// Poses of the frames: a `transforms.json`.
     pub poses: Option<PathBuf>,

@@ -31,7 +31,7 @@ const RIVAL: f64 = 0.9;
 /// Bundle adjustment ends when a step lowers the loss by less than this share: before tracks are
 /// classified anew, and at the end.
 const ROUGH: f64 = 1e-4;
-const FINE: f64 = 1e-6;
+pub(super) const FINE: f64 = 1e-6;
 
 /// Two keyframes, `a` before `b`, with enough in common and enough between them.
 #[derive(Clone, Copy, PartialEq)]
@@ -83,6 +83,9 @@ impl SparseProblem<'_> {
             )));
         };
         let (map, motions, report) = self.refine(map)?;
+        if let Some(bend) = self.bend_beyond(&map)? {
+            return self.straightened(bend, focals);
+        }
         let points = map.points.iter().flatten().count();
         let tracks = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(tracks / 20);
@@ -111,7 +114,11 @@ impl SparseProblem<'_> {
         } else {
             FocalSource::Given
         };
-        Ok(Recovered { sparse, focal })
+        Ok(Recovered {
+            sparse,
+            focal,
+            distortion: self.distortion(),
+        })
     }
 
     /// Pairs of keyframes, best first: much parallax, many tracks in common.
@@ -201,6 +208,7 @@ impl SparseProblem<'_> {
                 iterations,
                 tolerance: ROUGH,
                 free_focal,
+                free_bend: false,
             };
             map.adjust(tracks, &options, self.progress);
         };

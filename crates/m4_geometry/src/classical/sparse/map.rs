@@ -3,6 +3,7 @@
 
 use super::INLIER_PX;
 use super::bundle::{Bundle, BundleOptions, BundleReport, Observation};
+use super::lens::Bend;
 use super::rotation::{Limits, ray, spread};
 use super::tracking::RawTrack;
 use super::triangulate::{Ray, Sighting, descend, error_px, resect, triangulate};
@@ -15,6 +16,8 @@ use rayon::prelude::*;
 pub(crate) struct Map {
     /// Focal length, working pixels.
     pub focal: f64,
+    /// What the lens bends beyond what was taken out of the tracks.
+    pub bend: Bend,
     /// World to camera, per frame.
     pub poses: Vec<Option<Se3<f64>>>,
     /// World position, per track.
@@ -28,6 +31,7 @@ impl Map {
     pub fn new(focal: f64, poses: Vec<Option<Se3<f64>>>, tracks: &[RawTrack]) -> Self {
         Self {
             focal,
+            bend: Bend::NONE,
             poses,
             points: vec![None; tracks.len()],
             weights: vec![1.0; tracks.len()],
@@ -234,10 +238,12 @@ impl Map {
             points: used.iter().filter_map(|&i| self.points[i]).collect(),
             weights: used.iter().map(|&i| self.weights[i]).collect(),
             log_focal: self.focal.ln(),
+            bend: self.bend,
             observations,
         };
         let report = bundle.adjust(options, progress);
         self.focal = bundle.focal();
+        self.bend = bundle.bend;
         for (&i, pose) in frames.iter().zip(&bundle.poses) {
             self.poses[i] = Some(*pose);
         }

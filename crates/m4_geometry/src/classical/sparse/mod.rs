@@ -19,8 +19,10 @@
 mod anchor;
 mod bundle;
 mod degenerate;
+mod distortion;
 mod growth;
 mod klt;
+mod lens;
 mod luma;
 mod map;
 mod outcome;
@@ -35,6 +37,7 @@ mod triangulate;
 mod two_view;
 mod zoom;
 
+pub use distortion::RadialDistortion;
 pub use priors::{FocalSource, Recovered};
 pub use reconstruct::{FeatureTracks, track_features};
 use serde::{Deserialize, Serialize};
@@ -55,6 +58,10 @@ pub struct SparseConfig {
     /// `focal_px`. For callers in Rust.
     #[serde(skip)]
     pub intrinsics: Option<[f64; 4]>,
+    /// True when the images are known to have no distortion: none is estimated. For callers in
+    /// Rust.
+    #[serde(skip)]
+    pub pinhole: bool,
     /// Field of view assumed where the motion of the camera reveals nothing about it, degrees. 60:
     /// the main camera of common phones held upright to wide. For callers in Rust.
     #[serde(skip)]
@@ -71,6 +78,7 @@ impl Default for SparseConfig {
             focal_px: None,
             static_camera: false,
             intrinsics: None,
+            pinhole: false,
             default_fov_deg: 60.0,
             seed: 0,
         }

@@ -94,6 +94,7 @@ impl SparseProblem<'_> {
             let report = BundleReport {
                 cost: 0.0,
                 log_focal_sigma: f64::INFINITY,
+                bend_sigma: f64::INFINITY,
             };
             self.judge(&map, &motions, &report, false);
             if (points as f64) < DOUBTFUL_SHARE * judged as f64 {
@@ -129,6 +130,7 @@ impl SparseProblem<'_> {
                 warnings: std::mem::take(&mut self.warnings),
             },
             focal: FocalSource::Given,
+            distortion: None,
         })
     }
 

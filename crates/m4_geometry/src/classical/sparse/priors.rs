@@ -1,5 +1,6 @@
 //! What the caller provides of a clip: masks, lenses and the focal length.
 
+use super::distortion::RadialDistortion;
 use super::luma::WorkingSize;
 use super::tracking::RawTrack;
 use crate::classical::SparseReconstruction;
@@ -27,6 +28,9 @@ pub struct Recovered {
     pub sparse: SparseReconstruction,
     /// Where the focal length comes from.
     pub focal: FocalSource,
+    /// Distortion of the lens that the clip shows; cameras and tracks are those of images without
+    /// it. `None` where a pinhole explains the clip as well.
+    pub distortion: Option<RadialDistortion>,
 }
 
 /// Share of its observations within masks from which on a track counts as dynamic.

@@ -1,6 +1,7 @@
 //! From frames to a reconstruction.
 
 use super::degenerate::turning;
+use super::distortion::Straight;
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::{Map, classify};
 use super::priors::{FocalSource, Lenses, Recovered, part};
@@ -106,6 +107,8 @@ pub(super) struct SparseProblem<'a> {
     pub(super) height: usize,
     pub(super) config: &'a SparseConfig,
     pub(super) limits: Limits,
+    /// Distortion that was taken out of the tracks, with the tracks before that.
+    pub(super) straight: Option<Straight>,
     pub(super) progress: &'a dyn Progress,
     pub(super) warnings: Vec<String>,
     /// Whether warnings are kept back for now.
@@ -131,6 +134,7 @@ impl<'a> SparseProblem<'a> {
             height: features.size[1],
             config,
             limits: Limits::default(),
+            straight: None,
             progress,
             warnings: Vec::new(),
             quiet: false,
@@ -317,6 +321,7 @@ impl<'a> SparseProblem<'a> {
         Recovered {
             sparse: self.finish(map, &motions, camera_motion),
             focal,
+            distortion: None,
         }
     }
 

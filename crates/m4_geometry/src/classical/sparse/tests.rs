@@ -1,6 +1,8 @@
 //! From synthetic tracks to reconstructions with known answers.
 
+use super::lens::Bend;
 use super::luma::WorkingSize;
+use super::priors::Recovered;
 use super::reconstruct::{FeatureTracks, from_tracks};
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
@@ -122,6 +124,46 @@ fn solved(scene: &Scene) -> (SparseReconstruction, Vec<bool>) {
     let (tracks, is_dynamic) = scene.tracks();
     let reconstruction = solve(tracks, scene.frames, &SparseConfig::default());
     (reconstruction.expect("a reconstruction"), is_dynamic)
+}
+
+/// Cameras of [`ROOM`] through a lens with that coefficient.
+fn through(coefficient: f64, config: &SparseConfig) -> Recovered {
+    let bend = Bend {
+        coefficient,
+        radius_px: 0.5 * (WIDTH as f64).hypot(HEIGHT as f64),
+    };
+    let (mut tracks, _) = ROOM.tracks();
+    for at in tracks.iter_mut().flat_map(|track| &mut track.seen) {
+        *at = bend.distorted(*at).expect("the lens shows the whole image");
+    }
+    let features = features(tracks, ROOM.frames);
+    from_tracks(features, None, config, &Silent).expect("a reconstruction")
+}
+
+#[test]
+fn a_lens_that_bends_is_told_from_a_pinhole() {
+    let config = SparseConfig::default();
+    assert_eq!(through(0.0, &config).distortion, None);
+    for coefficient in [-0.4, -0.15, 0.12] {
+        let recovered = through(coefficient, &config);
+        let lens = recovered.distortion.expect("the lens bends");
+        assert!(
+            (lens.coefficient - coefficient).abs() < 0.01,
+            "{coefficient}: {lens:?}"
+        );
+        assert!(
+            (lens.focal_px / ROOM.focal - 1.0).abs() < 0.01,
+            "{coefficient}: {lens:?}"
+        );
+        assert!(recovered.sparse.residual_px < 0.3);
+        let (error, _) = errors(&recovered.sparse, &ROOM);
+        assert!(error < 0.002, "{coefficient}: {error}");
+    }
+    let pinhole = SparseConfig {
+        pinhole: true,
+        ..config
+    };
+    assert_eq!(through(-0.15, &pinhole).distortion, None);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 use super::INLIER_PX;
 use super::bundle::{Jacobian, project};
+use super::lens::Bend;
 use m4_core::nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use m4_core::{Se3, median};
 
@@ -30,7 +31,7 @@ pub(crate) fn triangulate(views: &[Ray], focal: f64, cauchy_px: f64) -> Option<T
     for _ in 0..8 {
         let (mut h, mut g) = (Matrix3::zeros(), Vector3::zeros());
         for (pose, at) in views {
-            let j = Jacobian::new(pose, &point, focal, *at, cauchy_px);
+            let j = Jacobian::new(pose, &point, focal, Bend::NONE, *at, cauchy_px);
             h += j.point.transpose() * j.point;
             g += j.point.transpose() * j.residual;
         }
@@ -115,7 +116,7 @@ pub(crate) fn resect(sightings: &[Sighting], focal: f64, start: &Se3<f64>) -> (S
 
 /// Distance between the projection of `x` and `at`; `None` for points that are not in front.
 pub(crate) fn error_px(w2c: &Se3<f64>, x: &Vector3<f64>, focal: f64, at: [f64; 2]) -> Option<f64> {
-    project(w2c, x, focal, at).map(|r| r[0].hypot(r[1]))
+    project(w2c, x, focal, Bend::NONE, at).map(|r| r[0].hypot(r[1]))
 }
 
 /// Levenberg-Marquardt steps under Cauchy's loss.
@@ -136,7 +137,7 @@ pub(crate) fn descend(
     for _ in 0..10 {
         let (mut h, mut g) = (Matrix6::zeros(), Vector6::zeros());
         for (x, at) in sightings {
-            let j = Jacobian::new(&pose, x, focal, *at, cauchy_px);
+            let j = Jacobian::new(&pose, x, focal, Bend::NONE, *at, cauchy_px);
             h += j.pose.transpose() * j.pose;
             g += j.pose.transpose() * j.residual;
         }

@@ -6,6 +6,7 @@
 //! a scene with depth does not: what is near grows faster.
 
 use super::bundle::Jacobian;
+use super::lens::Bend;
 use super::rotation::{MIN_TRACKS, matches, ray, spread};
 use super::tracking::RawTrack;
 use super::two_view::Match;
@@ -167,13 +168,13 @@ fn fit(
         };
         let (mut h, mut g) = (Matrix4::zeros(), Vector4::zeros());
         for (direction, at) in sightings {
-            let j = Jacobian::new(&pose, direction, aim.focal, *at, cauchy_px);
+            let j = Jacobian::new(&pose, direction, aim.focal, Bend::NONE, *at, cauchy_px);
             for (row, r) in [0, 1].map(|k| (k, j.residual[k])) {
                 let by = Vector4::new(
                     j.pose[(row, 3)],
                     j.pose[(row, 4)],
                     j.pose[(row, 5)],
-                    j.focal[row],
+                    j.lens[0][row],
                 );
                 h += by * by.transpose();
                 g += by * r;

@@ -202,6 +202,27 @@ pub(crate) fn rows(c2w: &Se3<f64>) -> Vec<Vec<f64>> {
         .collect()
 }
 
+/// Reads the lens in `json`: `transforms.json`, or a file with its keys of the lens alone. `size` is
+/// that of images where the file states none, pixels.
+///
+/// # Errors
+///
+/// [`Fault`]: no such JSON, no focal length, a value out of range, or a lens model that is not read.
+pub fn lens_in(json: &[u8], size: (usize, usize)) -> Result<Lens, Fault> {
+    let keys: LensKeys = serde_json::from_slice(json).map_err(|e| {
+        let hint = "give a file with fl_x, fl_y, cx, cy, w, h and, where the lens has distortion, its \
+                    coefficients";
+        Fault::bad(format!("it is not such JSON ({e})"), hint)
+    })?;
+    let side = |key: &str, stated: Option<f64>, default: usize| match stated {
+        Some(side) if (1.0..=65_536.0).contains(&side) => Ok(side.round() as usize),
+        Some(side) => Err(Fault::bad(format!("{key} = {side}"), HINT)),
+        None => Ok(default),
+    };
+    let size = (side("w", keys.w, size.0)?, side("h", keys.h, size.1)?);
+    lens_of(&keys, size)
+}
+
 const HINT: &str = "correct the intrinsics in the file";
 
 /// The lens of an image of that size.

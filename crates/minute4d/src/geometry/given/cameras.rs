@@ -4,29 +4,12 @@
 use super::{ClipFiles, other_shape, same_shape};
 use crate::{Error, Refusal};
 use m4_core::{Camera, Intrinsics};
+use m4_io::dataset::{Lens, nerfstudio::lens_in};
 use m4_io::{files, range, trajectory};
-use serde::Deserialize;
 use std::path::Path;
 
 /// Largest file with intrinsics that is read, bytes: `transforms.json` lists every frame besides.
 const MAX_LENS_BYTES: u64 = 256 << 20;
-
-/// The keys of `transforms.json` that are read.
-#[derive(Deserialize)]
-struct File {
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
-}
 
 /// `fx,fy,cx,cy`; `None` for the name of a file.
 pub fn numbers(text: &str) -> Option<Vec<f64>> {
@@ -35,9 +18,9 @@ pub fn numbers(text: &str) -> Option<Vec<f64>> {
         .collect()
 }
 
-/// The lens for frames of `size`; refused if it is incomplete, distorted, or of images of another
+/// Reads the lens for frames of `size`; refuses one that is incomplete, or of images of another
 /// shape.
-pub fn lens(text: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
+pub fn lens(text: &str, size: (usize, usize)) -> Result<Lens, Error> {
     let bad = |reason: String| {
         Refusal::bad_input(format!(
             "the intrinsics {text:?} cannot be used: {reason}; give fx,fy,cx,cy in pixels of the frames, or a JSON file with \
@@ -46,67 +29,50 @@ pub fn lens(text: &str, size: (usize, usize)) -> Result<Intrinsics, Error> {
     };
     let lens = match numbers(text) {
         Some(numbers) => match numbers[..] {
-            [fx, fy, cx, cy] => Intrinsics {
+            [fx, fy, cx, cy] => Lens::pinhole(Intrinsics {
                 width: size.0,
                 height: size.1,
                 fx,
                 fy,
                 cx,
                 cy,
-            },
+            }),
             _ => {
                 return Err(bad(format!("{} numbers where 4 were expected", numbers.len())).into());
             }
         },
         None => {
-            let bytes = files::read(Path::new(text), MAX_LENS_BYTES)
-                .map_err(Error::read(Path::new(text)))?;
-            let file: File = serde_json::from_slice(files::without_mark(&bytes))
-                .map_err(|e| bad(format!("it is not such JSON ({e})")))?;
-            of_file(&file, size).map_err(bad)?
+            let path = Path::new(text);
+            let bytes = files::read(path, MAX_LENS_BYTES).map_err(Error::read(path))?;
+            let file = lens_in(files::without_mark(&bytes), size)
+                .map_err(|fault| bad(fault.to_string()))?;
+            let k = &file.intrinsics;
+            if !same_shape((k.width, k.height), size) {
+                return Err(bad(format!(
+                    "it is of images of {} x {} pixels, another aspect ratio than that of the frames, {} x {}",
+                    k.width, k.height, size.0, size.1
+                ))
+                .into());
+            }
+            Lens {
+                intrinsics: k.resized(size.0, size.1),
+                ..file
+            }
         }
     };
-    if let Some(what) = range::of_lens(&lens) {
+    let k = &lens.intrinsics;
+    if let Some(what) = range::of_lens(k) {
         return Err(bad(what).into());
     }
     let inside = |c: f64, side: usize| c > 0.0 && c < side as f64;
-    if !inside(lens.cx, size.0) || !inside(lens.cy, size.1) {
+    if !inside(k.cx, size.0) || !inside(k.cy, size.1) {
         return Err(bad(format!(
             "its principal point {}, {} lies outside the frames of {} x {} pixels",
-            lens.cx, lens.cy, size.0, size.1
+            k.cx, k.cy, size.0, size.1
         ))
         .into());
     }
     Ok(lens)
-}
-
-fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
-    let bent = [file.k1, file.k2, file.k3, file.k4, file.p1, file.p2];
-    if bent.into_iter().flatten().any(|k| k != 0.0) {
-        return Err("it has distortion; undistort the frames first".to_owned());
-    }
-    let fx = file.fl_x.ok_or("fl_x is missing")?;
-    let side = |value: Option<f64>, frame: usize| match value {
-        Some(side) if (1.0..=65_536.0).contains(&side) => Ok(side as usize),
-        Some(side) => Err(format!("a side of {side} pixels")),
-        None => Ok(frame),
-    };
-    let (width, height) = (side(file.w, size.0)?, side(file.h, size.1)?);
-    if !same_shape((width, height), size) {
-        return Err(format!(
-            "it is of images of {width} x {height} pixels, another aspect ratio than that of the frames, {} x {}",
-            size.0, size.1
-        ));
-    }
-    let lens = Intrinsics {
-        width,
-        height,
-        fx,
-        fy: file.fl_y.unwrap_or(fx),
-        cx: file.cx.unwrap_or(width as f64 / 2.0),
-        cy: file.cy.unwrap_or(height as f64 / 2.0),
-    };
-    Ok(lens.resized(size.0, size.1))
 }
 
 /// A camera per frame. `lens` replaces the lenses of the file. Fails if the file cannot be read or
@@ -133,10 +99,13 @@ pub fn poses(
 #[cfg(test)]
 mod tests {
     use super::lens;
+    use m4_io::dataset::Distortion;
 
     #[test]
     fn numbers_are_of_the_frames() {
         let actual = lens("500, 510,310,250", (640, 480)).unwrap();
+        assert_eq!(actual.distortion, Distortion::None);
+        let actual = actual.intrinsics;
         assert_eq!(
             (actual.fx, actual.fy, actual.cx, actual.cy),
             (500.0, 510.0, 310.0, 250.0)
@@ -160,13 +129,21 @@ mod tests {
         let write = |text: &str| std::fs::write(&path, text).unwrap();
         let name = path.to_str().unwrap();
         write(r#"{"fl_x": 1000, "fl_y": 1010, "cx": 620, "w": 1280, "h": 960}"#);
-        let actual = lens(name, (640, 480)).unwrap();
+        let actual = lens(name, (640, 480)).unwrap().intrinsics;
         assert_eq!(
             (actual.fx, actual.fy, actual.cx, actual.cy),
             (500.0, 505.0, 310.0, 240.0)
         );
+        write(
+            r#"{"fl_x": 1000, "w": 1280, "h": 960, "camera_model": "OPENCV_FISHEYE", "k1": 0.1}"#,
+        );
+        let bent = lens(name, (640, 480)).unwrap();
+        let k = [0.1, 0.0, 0.0, 0.0];
+        assert_eq!(bent.distortion, Distortion::Fisheye { k });
+        assert_eq!(bent.intrinsics.fx, 500.0);
         for (text, word) in [
-            (r#"{"fl_x": 1000, "k1": 0.1}"#, "distortion"),
+            (r#"{"fl_x": 1000, "k4": 0.1}"#, "k4 = 0.1"),
+            (r#"{"fl_x": 1000, "w": -3}"#, "w = -3"),
             (r#"{"fl_x": 1000, "w": 480, "h": 640}"#, "aspect ratio"),
             (r#"{"cx": 3}"#, "fl_x is missing"),
             ("[]", "JSON"),

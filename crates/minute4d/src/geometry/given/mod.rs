@@ -6,7 +6,8 @@ mod cameras;
 use super::GeometryOptions;
 use super::frontend::MonoClip;
 use crate::{Category, Error, Refusal, hash};
-use m4_core::{Camera, DepthMap, Intrinsics, Mask, Plane, Video};
+use m4_core::{Camera, DepthMap, Mask, Plane, Video};
+use m4_io::dataset::Lens;
 use m4_io::image::{read_depth, read_mask, read_rgb};
 use m4_io::video::image_files;
 use rayon::prelude::*;
@@ -62,7 +63,7 @@ impl Sources {
 #[derive(Debug, Default)]
 pub(super) struct Given {
     /// The lens for frames of this clip's size.
-    pub lens: Option<Intrinsics>,
+    pub lens: Option<Lens>,
     /// A camera a frame.
     pub cameras: Option<Vec<Camera>>,
     /// A mask per frame, 255 where something moves.
@@ -92,7 +93,7 @@ impl Given {
         let cameras = options
             .poses
             .as_ref()
-            .map(|path| cameras::poses(path, &clip, lens))
+            .map(|path| cameras::poses(path, &clip, lens.map(|lens| lens.intrinsics)))
             .transpose()?;
         let masks = options
             .masks

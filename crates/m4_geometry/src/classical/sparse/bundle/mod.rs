@@ -1,17 +1,19 @@
-//! Bundle adjustment: poses, points and one shared focal length that explain all observations.
+//! Bundle adjustment: poses, points and one shared lens that explain all observations.
 //!
 //! Residual of a point `X` seen at `u` (pixels from the principal point) by a camera `R, T`:
-//! `r = f p_xy / p_z - u` with `p = R X + T`, loss `c^2/2 log(1 + w |r|^2 / c^2)` (Cauchy), `w` the
-//! weight of the point. Unknowns are twists `(tau, omega)` on the left of every pose but the first,
-//! the logarithm of `f`, and `X`. Points are eliminated (Schur complement); the reduced system is
-//! solved by a Cholesky factorisation that skips what lies before the first non-zero of each row.
+//! `r = bend(f p_xy / p_z) - u` with `p = R X + T`, loss `c^2/2 log(1 + w |r|^2 / c^2)` (Cauchy),
+//! `w` the weight of the point, `bend` the distortion of the lens. Unknowns are twists
+//! `(tau, omega)` on the left of every pose but the first, the logarithm of `f`, the coefficient of
+//! `bend`, and `X`. Points are eliminated (Schur complement); the reduced system is solved by a
+//! Cholesky factorisation that skips what lies before the first non-zero of each row.
 
 mod system;
 
+use super::lens::Bend;
 use super::rotation::Limits;
 use m4_core::{
     Progress, Se3, hat,
-    nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3, Vector6},
+    nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3, Vector6},
 };
 use rayon::prelude::*;
 use system::{Reduced, reduce, substitute};
@@ -33,6 +35,8 @@ pub(crate) struct Bundle {
     pub weights: Vec<f64>,
     /// Natural logarithm of the focal length in pixels.
     pub log_focal: f64,
+    /// Distortion of the lens.
+    pub bend: Bend,
     /// Sorted by point.
     pub observations: Vec<Observation>,
 }
@@ -46,6 +50,8 @@ pub(crate) struct BundleOptions {
     /// Ends when a step lowers the loss by less than this share.
     pub tolerance: f64,
     pub free_focal: bool,
+    /// Whether the coefficient of the distortion is adjusted, too.
+    pub free_bend: bool,
 }
 
 impl BundleOptions {
@@ -56,6 +62,7 @@ impl BundleOptions {
             iterations: 30,
             tolerance,
             free_focal,
+            free_bend: false,
         }
     }
 }
@@ -67,6 +74,8 @@ pub(crate) struct BundleReport {
     /// Standard deviation of the logarithm of the focal length, from the curvature at the end and
     /// for residuals of one pixel; infinite when it was not free.
     pub log_focal_sigma: f64,
+    /// The same of the coefficient of the distortion.
+    pub bend_sigma: f64,
 }
 
 impl Bundle {
@@ -81,19 +90,19 @@ impl Bundle {
         let fixed = self.observations.iter().map(|o| o.pose).min().unwrap_or(0);
         let mut cost = self.cost(options);
         let (mut damping, mut growth) = (1e-4, 2.0);
-        let mut log_focal_sigma = f64::INFINITY;
+        let mut sigmas = [f64::INFINITY; 2];
         let mut jacobians = self.linearise(options);
         for _ in 0..options.iterations {
             if progress.cancelled() {
                 break;
             }
             let system = reduce(self, &jacobians, &runs, damping, fixed, options);
-            let Some((step, sigma)) = system.solve() else {
+            let Some((step, deviations)) = system.solve() else {
                 damping *= growth;
                 growth *= 2.0;
                 continue;
             };
-            log_focal_sigma = sigma;
+            sigmas = deviations;
             let point_steps = substitute(self, &jacobians, &runs, damping, &system, &step);
             let trial = self.moved(&system, &step, &point_steps);
             let trial_cost = trial.cost(options);
@@ -122,14 +131,16 @@ impl Bundle {
         }
         BundleReport {
             cost: cost / self.observations.len().max(1) as f64,
-            log_focal_sigma,
+            log_focal_sigma: sigmas[0],
+            bend_sigma: sigmas[1],
         }
     }
 
     fn cost(&self, options: &BundleOptions) -> f64 {
         let focal = self.focal();
         let one = |o: &Observation| {
-            let r = project(&self.poses[o.pose], &self.points[o.point], focal, o.at);
+            let (pose, point) = (&self.poses[o.pose], &self.points[o.point]);
+            let r = project(pose, point, focal, self.bend, o.at);
             let squared = r.map_or(BEHIND_PX * BEHIND_PX, |r| r[0] * r[0] + r[1] * r[1]);
             loss(self.weights[o.point] * squared, options.cauchy_px)
         };
@@ -151,6 +162,7 @@ impl Bundle {
                 &self.poses[o.pose],
                 &self.points[o.point],
                 focal,
+                self.bend,
                 o.at,
                 options.cauchy_px / root,
             )
@@ -169,9 +181,13 @@ impl Bundle {
         for (point, d) in trial.points.iter_mut().zip(point_steps) {
             *point += d;
         }
-        if let Some(c) = system.focal_column {
+        let [focal, bend] = system.lens_columns;
+        if let Some(c) = focal {
             // A factor of 1.3 a step keeps the search from leaping out of the basin.
             trial.log_focal += step[c].clamp(-0.26, 0.26);
+        }
+        if let Some(c) = bend {
+            trial.bend.coefficient += step[c].clamp(-0.1, 0.1);
         }
         trial
     }
@@ -202,15 +218,21 @@ fn point_runs(observations: &[Observation], points: usize) -> Vec<std::ops::Rang
     runs
 }
 
-/// The residual of a point, pixels; `None` when the point is not in front of the camera.
+/// The residual of a point, pixels; `None` when the point is not in front of the camera, or where
+/// the lens shows nothing.
 pub(super) fn project(
     w2c: &Se3<f64>,
     point: &Vector3<f64>,
     focal: f64,
+    bend: Bend,
     at: [f64; 2],
 ) -> Option<[f64; 2]> {
     let p = w2c.transform(point);
-    (p.z > 1e-6).then(|| [focal * p.x / p.z - at[0], focal * p.y / p.z - at[1]])
+    if p.z <= 1e-6 {
+        return None;
+    }
+    let [u, v] = bend.distorted([focal * p.x / p.z, focal * p.y / p.z])?;
+    Some([u - at[0], v - at[1]])
 }
 
 /// One observation, linearised and scaled by the root of its weight; all zero for a point that is
@@ -222,8 +244,8 @@ pub(crate) struct Jacobian {
     pub pose: Matrix2x6<f64>,
     /// By the position.
     pub point: Matrix2x3<f64>,
-    /// By the logarithm of the focal length.
-    pub focal: Vector2<f64>,
+    /// By the logarithm of the focal length, and by the coefficient of the distortion.
+    pub lens: [Vector2<f64>; 2],
 }
 
 impl Jacobian {
@@ -233,15 +255,23 @@ impl Jacobian {
         w2c: &Se3<f64>,
         point: &Vector3<f64>,
         focal: f64,
+        bend: Bend,
         at: [f64; 2],
         cauchy_px: f64,
     ) -> Self {
-        let Some(r) = project(w2c, point, focal, at) else {
+        let Some(r) = project(w2c, point, focal, bend, at) else {
             return Self::default();
         };
         let p = w2c.transform(point);
         let (fz, x, y) = (focal / p.z, p.x / p.z, p.y / p.z);
-        let by_camera = Matrix2x3::new(fz, 0.0, -fz * x, 0.0, fz, -fz * y);
+        let mut by_camera = Matrix2x3::new(fz, 0.0, -fz * x, 0.0, fz, -fz * y);
+        let mut by_focal = Vector2::new(focal * x, focal * y);
+        let by_bend = bend.by_coefficient([focal * x, focal * y]);
+        if bend.coefficient != 0.0 {
+            let by_pinhole: Matrix2<f64> = bend.by_position([focal * x, focal * y]);
+            by_camera = by_pinhole * by_camera;
+            by_focal = by_pinhole * by_focal;
+        }
         let turn = by_camera * -hat(&p);
         let residual = Vector2::new(r[0], r[1]);
         let scale = (1.0 / (1.0 + residual.norm_squared() / (cauchy_px * cauchy_px))).sqrt();
@@ -253,7 +283,7 @@ impl Jacobian {
             residual: residual * scale,
             pose,
             point: by_camera * w2c.rotation * scale,
-            focal: Vector2::new(focal * x, focal * y) * scale,
+            lens: [by_focal * scale, by_bend * scale],
         }
     }
 
@@ -263,14 +293,14 @@ impl Jacobian {
             residual: self.residual * factor,
             pose: self.pose * factor,
             point: self.point * factor,
-            focal: self.focal * factor,
+            lens: self.lens.map(|column| column * factor),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Bundle, BundleOptions, Jacobian, Observation, project};
+    use super::{Bend, Bundle, BundleOptions, Jacobian, Observation, project};
     use m4_core::{
         CounterRng, Se3, Silent, Sim3, exp_so3,
         nalgebra::{Vector3, Vector6},
@@ -313,6 +343,7 @@ mod tests {
             poses,
             points,
             log_focal: 400.0_f64.ln(),
+            bend: Bend::NONE,
             observations,
         }
     }
@@ -323,6 +354,7 @@ mod tests {
             iterations: 60,
             tolerance: 1e-9,
             free_focal,
+            free_bend: false,
         }
     }
 
@@ -360,6 +392,41 @@ mod tests {
     }
 
     #[test]
+    fn a_free_coefficient_explains_a_lens_that_bends() {
+        let mut bundle = scene();
+        let bend = Bend {
+            coefficient: -0.25,
+            radius_px: 400.0,
+        };
+        for o in &mut bundle.observations {
+            o.at = bend.distorted(o.at).expect("barrels show all");
+        }
+        let straight = bundle.clone().adjust(&options(true), &Silent);
+        bundle.bend = Bend {
+            coefficient: 0.0,
+            ..bend
+        };
+        let free = BundleOptions {
+            free_bend: true,
+            ..options(true)
+        };
+        let report = bundle.adjust(&free, &Silent);
+        let coefficient = bundle.bend.coefficient;
+        assert!((coefficient + 0.25).abs() < 5e-3, "{coefficient}");
+        assert!(
+            (bundle.focal() / 400.0 - 1.0).abs() < 5e-3,
+            "{}",
+            bundle.focal()
+        );
+        assert!(report.cost < straight.cost, "{report:?} {straight:?}");
+        assert!(
+            report.bend_sigma > 1e-5 && report.bend_sigma < 0.05,
+            "{report:?}"
+        );
+        assert_eq!(straight.bend_sigma, f64::INFINITY);
+    }
+
+    #[test]
     fn a_fixed_focal_length_stays_and_cost_never_rises() {
         let mut bundle = scene();
         bundle.log_focal += 0.05;
@@ -377,6 +444,7 @@ mod tests {
             points: Vec::new(),
             weights: Vec::new(),
             log_focal: 6.0,
+            bend: Bend::NONE,
             observations: Vec::new(),
         };
         assert_eq!(bundle.adjust(&options(true), &Silent).cost, 0.0);
@@ -390,20 +458,31 @@ mod tests {
         };
         let (x, focal, at) = (Vector3::new(0.7, -0.3, 1.1), 420.0_f64, [30.0, -12.0]);
         // A huge scale makes all weights 1.
-        let j = Jacobian::new(&pose, &x, focal, at, 1e9);
-        // Variables 0 to 5: the pose, 6 to 8: the point, 9: the logarithm of the focal length.
+        let bend = Bend {
+            coefficient: -0.2,
+            radius_px: 300.0,
+        };
+        let j = Jacobian::new(&pose, &x, focal, bend, at, 1e9);
+        // Variables 0 to 5: the pose, 6 to 8: the point, 9: the logarithm of the focal length, 10:
+        // the coefficient of the distortion.
         let moved = |k: usize, h: f64| {
             let step = |from: usize| move |i: usize, _: usize| if from + i == k { h } else { 0.0 };
             let focal = if k == 9 { focal * h.exp() } else { focal };
+            let coefficient = bend.coefficient + if k == 10 { h } else { 0.0 };
+            let bend = Bend {
+                coefficient,
+                ..bend
+            };
             project(
                 &pose.retract(&Vector6::from_fn(step(0))),
                 &(x + Vector3::from_fn(step(6))),
                 focal,
+                bend,
                 at,
             )
         };
         let h = 1e-6;
-        for k in 0..10 {
+        for k in 0..11 {
             let (a, b) = (
                 moved(k, h).expect("in front"),
                 moved(k, -h).expect("in front"),
@@ -412,7 +491,7 @@ mod tests {
                 let want = match k {
                     0..6 => j.pose[(i, k)],
                     6..9 => j.point[(i, k - 6)],
-                    _ => j.focal[i],
+                    _ => j.lens[k - 9][i],
                 };
                 assert!(
                     ((a[i] - b[i]) / (2.0 * h) - want).abs() < 1e-4,
@@ -428,6 +507,7 @@ mod tests {
             &Se3::identity(),
             &Vector3::new(0.0, 0.0, -1.0),
             400.0,
+            Bend::NONE,
             [0.0, 0.0],
             1.0,
         );

@@ -9,30 +9,36 @@ use std::ops::Range;
 /// on the number of threads.
 const GROUPS: usize = 8;
 
-/// `S d = rhs` for poses and focal length.
+/// Columns of what all cameras share.
+type LensColumns = [Option<usize>; 2];
+
+/// `S d = rhs` for poses and lens.
 #[derive(Debug)]
 pub(super) struct Reduced {
     envelope: Envelope,
     /// First of six columns, per pose; `None` for poses that do not move.
     pub pose_columns: Vec<Option<usize>>,
-    pub focal_column: Option<usize>,
+    /// Those of the logarithm of the focal length and of the distortion, where they are free.
+    pub lens_columns: LensColumns,
     /// Entries within the envelope.
     matrix: Vec<f64>,
     rhs: Vec<f64>,
 }
 
 impl Reduced {
-    /// The step and the standard deviation of the logarithm of the focal length (infinite when it
-    /// is not free); `None` when the system is singular.
-    pub fn solve(&self) -> Option<(Vec<f64>, f64)> {
+    /// The step and the standard deviations of the logarithm of the focal length and of the
+    /// distortion (infinite where they are not free); `None` when the system is singular.
+    pub fn solve(&self) -> Option<(Vec<f64>, [f64; 2])> {
         let factor = self.envelope.factorise(self.matrix.clone())?;
         let step = self.envelope.solve(&factor, &self.rhs);
-        let sigma = self.focal_column.map_or(f64::INFINITY, |c| {
-            let mut unit = vec![0.0; self.envelope.rows()];
-            unit[c] = 1.0;
-            self.envelope.solve(&factor, &unit)[c].max(0.0).sqrt()
+        let sigmas = self.lens_columns.map(|column| {
+            column.map_or(f64::INFINITY, |c| {
+                let mut unit = vec![0.0; self.envelope.rows()];
+                unit[c] = 1.0;
+                self.envelope.solve(&factor, &unit)[c].max(0.0).sqrt()
+            })
         });
-        step.iter().all(|v| v.is_finite()).then_some((step, sigma))
+        step.iter().all(|v| v.is_finite()).then_some((step, sigmas))
     }
 
     /// What the quadratic model promises for a step.
@@ -49,8 +55,8 @@ impl Reduced {
             if let Some(c) = self.pose_columns[o.pose] {
                 change += j.pose * Vector6::from_fn(|k, _| step[c + k]);
             }
-            if let Some(c) = self.focal_column {
-                change += j.focal * step[c];
+            for (c, column) in free(self.lens_columns, &j.lens) {
+                change += column * step[c];
             }
             gain -= j.residual.dot(&change) + 0.5 * change.norm_squared();
         }
@@ -119,9 +125,11 @@ pub(super) fn reduce(
             })
         })
         .collect();
-    let focal_column = options.free_focal.then_some(n);
-    n += usize::from(options.free_focal);
-    let envelope = envelope(bundle, runs, &pose_columns, focal_column, n);
+    let lens_columns = [options.free_focal, options.free_bend].map(|free| {
+        n += usize::from(free);
+        free.then_some(n.wrapping_sub(1))
+    });
+    let envelope = envelope(bundle, runs, &pose_columns, lens_columns, n);
     let parts: Vec<NormalEquations<'_>> = runs
         .par_chunks(runs.len().div_ceil(GROUPS).max(1))
         .map(|group| {
@@ -133,7 +141,7 @@ pub(super) fn reduce(
                     run.clone(),
                     damping,
                     &pose_columns,
-                    focal_column,
+                    lens_columns,
                 );
             }
             part
@@ -156,18 +164,27 @@ pub(super) fn reduce(
     Reduced {
         envelope,
         pose_columns,
-        focal_column,
+        lens_columns,
         matrix,
         rhs,
     }
 }
 
-/// Poses are coupled where one point is seen by both; all are coupled to the focal length.
+/// The free ones of the lens, with their columns.
+fn free<T: Copy>(
+    columns: LensColumns,
+    values: &[T; 2],
+) -> impl Iterator<Item = (usize, T)> + use<T> {
+    let pairs = columns.into_iter().zip(*values);
+    pairs.filter_map(|(column, value)| Some((column?, value)))
+}
+
+/// Poses are coupled where one point is seen by both; all are coupled to the lens.
 fn envelope(
     bundle: &Bundle,
     runs: &[Range<usize>],
     pose_columns: &[Option<usize>],
-    focal_column: Option<usize>,
+    lens_columns: LensColumns,
     n: usize,
 ) -> Envelope {
     let mut first: Vec<usize> = (0..n).map(|row| row - row % 6).collect();
@@ -184,8 +201,8 @@ fn envelope(
             first[row] = first[row].min(least);
         }
     }
-    if let Some(f) = focal_column {
-        first[f] = 0;
+    for row in lens_columns.into_iter().flatten() {
+        first[row] = 0;
     }
     Envelope::new(first)
 }
@@ -198,19 +215,24 @@ impl NormalEquations<'_> {
         run: Range<usize>,
         damping: f64,
         pose_columns: &[Option<usize>],
-        focal_column: Option<usize>,
+        lens_columns: LensColumns,
     ) {
         let envelope = self.envelope;
         let at = |row: usize, column: usize| envelope.at(row, column);
         let block = point_block(&jacobians[run.clone()], damping);
         let mut cross: Vec<(usize, Matrix6x3<f64>)> = Vec::with_capacity(run.len());
-        let mut cross_focal = RowVector3::zeros();
+        let mut cross_lens = [RowVector3::zeros(); 2];
         for (o, j) in bundle.observations[run.clone()].iter().zip(&jacobians[run]) {
-            if let Some(f) = focal_column {
-                self.matrix[at(f, f)] += j.focal.norm_squared();
-                self.diagonal[f] += j.focal.norm_squared();
-                self.rhs[f] -= j.focal.dot(&j.residual);
-                cross_focal += j.focal.transpose() * j.point;
+            for (f, column) in free(lens_columns, &j.lens) {
+                self.matrix[at(f, f)] += column.norm_squared();
+                self.diagonal[f] += column.norm_squared();
+                self.rhs[f] -= column.dot(&j.residual);
+            }
+            for (cross, column) in cross_lens.iter_mut().zip(&j.lens) {
+                *cross += column.transpose() * j.point;
+            }
+            if let [Some(f), Some(b)] = lens_columns {
+                self.matrix[at(b, f)] += j.lens[0].dot(&j.lens[1]);
             }
             let Some(c) = pose_columns[o.pose] else {
                 continue;
@@ -223,8 +245,8 @@ impl NormalEquations<'_> {
                 self.diagonal[c + a] += square[(a, a)];
                 self.rhs[c + a] -= gradient[a];
             }
-            if let Some(f) = focal_column {
-                let row = j.focal.transpose() * j.pose;
+            for (f, column) in free(lens_columns, &j.lens) {
+                let row = column.transpose() * j.pose;
                 for b in 0..6 {
                     self.matrix[at(f, c + b)] += row[b];
                 }
@@ -254,21 +276,23 @@ impl NormalEquations<'_> {
                 self.rhs[row + a] += back[a];
             }
         }
-        if let Some(f) = focal_column {
-            let y = cross_focal * inverse;
+        for (f, cross_one) in free(lens_columns, &cross_lens) {
+            let y = cross_one * inverse;
             for (column, other) in &cross {
                 let product = y * other.transpose();
                 for b in 0..6 {
                     self.matrix[at(f, column + b)] -= product[b];
                 }
             }
-            self.matrix[at(f, f)] -= y.dot(&cross_focal);
+            for (c, other) in free(lens_columns, &cross_lens).filter(|(c, _)| *c <= f) {
+                self.matrix[at(f, c)] -= y.dot(&other);
+            }
             self.rhs[f] += y.dot(&gradient.transpose());
         }
     }
 }
 
-/// The steps of the points, given that of poses and focal length.
+/// The steps of the points, given that of poses and lens.
 pub(super) fn substitute(
     bundle: &Bundle,
     jacobians: &[Jacobian],
@@ -291,8 +315,8 @@ pub(super) fn substitute(
                     gradient +=
                         j.point.transpose() * (j.pose * Vector6::from_fn(|k, _| step[c + k]));
                 }
-                if let Some(c) = system.focal_column {
-                    gradient += j.point.transpose() * j.focal * step[c];
+                for (c, column) in free(system.lens_columns, &j.lens) {
+                    gradient += j.point.transpose() * column * step[c];
                 }
             }
             -(inverse * gradient)
