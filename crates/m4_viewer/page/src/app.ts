@@ -41,6 +41,8 @@ export class App {
   rig: CameraRig;
   frozen = false;
   comparing = false;
+  /** A headset shows the scene and takes its time from the clock; the page rests. */
+  worn = false;
   private fixed: Fixed | null = null;
   private requested = 0;
   private last = Number.NEGATIVE_INFINITY;
@@ -240,6 +242,7 @@ export class App {
 
   private tick(now: number): void {
     this.requested = 0;
+    if (this.worn) return;
     // the first tick after a rest begins a step and takes none
     const passed = Number.isFinite(this.last) ? Math.max(now - this.last, 0) / 1000 : 0;
     const seconds = Math.min(passed, STEP_MOST_S);

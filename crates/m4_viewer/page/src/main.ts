@@ -10,6 +10,7 @@ import { embeddedFrames, embeddedManifest, embeddedSplats } from "./embedded";
 import { PageError, toPageError } from "./errors";
 import { SourceFrames } from "./frames";
 import { isSlider, startFlying, startPointer } from "./input";
+import { offerHeadset } from "./headset/session";
 import { type Place, fromFragment } from "./link";
 import { Follower } from "./live/follow";
 import { LivePanel } from "./live/panel";
@@ -109,6 +110,7 @@ async function start(): Promise<App> {
   });
   startFlying(app, () => !actions.busy && !isSlider(document.activeElement));
   startTips(root);
+  void offerHeadset(app);
   new ResizeObserver(app.invalidate).observe(stage.canvas);
   app.onChange(() => hint(wordsFor(app)));
 

@@ -211,6 +211,7 @@ void main() {
 export const PRESENT_FRAGMENT = /* glsl */ `#version 300 es
 precision highp float;
 uniform highp sampler2D image;
+uniform vec2 origin;   // of the image, pixels of the framebuffer
 uniform vec3 fadeTo;
 uniform float fade;
 uniform vec4 frame;    // left, bottom, right, top, pixels
@@ -220,10 +221,11 @@ in vec2 vPlace;
 out vec4 fragColour;
 
 void main() {
-  vec3 colour = texelFetch(image, ivec2(gl_FragCoord.xy), 0).rgb;
+  vec2 at = gl_FragCoord.xy - origin;
+  vec3 colour = texelFetch(image, ivec2(at), 0).rgb;
   float edge = smoothstep(0.2, 1.2, length(vPlace));
   colour = mix(colour, fadeTo, fade * mix(0.75, 1.0, edge));
-  vec2 beyond = max(max(frame.xy - gl_FragCoord.xy, gl_FragCoord.xy - frame.zw), 0.0);
+  vec2 beyond = max(max(frame.xy - at, at - frame.zw), 0.0);
   float gone = feather > 0.0 ? smoothstep(0.0, 1.0, length(beyond) / feather) : 0.0;
   fragColour = vec4(mix(colour, outside, gone), 1.0);
 }

@@ -42,6 +42,16 @@ interface Ready {
   readonly beside: () => void;
 }
 
+/** The splats of an instant in their order, for views from nearby. */
+export type Order = Pick<Ready, "view" | "loaded" | "slice">;
+
+/** An eye of a headset: what it sees, and where its image lies in the framebuffer, pixels from the lower left. */
+export interface Eye {
+  readonly view: View;
+  readonly x: number;
+  readonly y: number;
+}
+
 /** Whom the stage tells what. */
 export interface StageHooks {
   /** An instant is there to be presented. */
@@ -216,7 +226,7 @@ export class Stage {
     gl.clear(gl.COLOR_BUFFER_BIT);
     this.drawSplats(view, loaded, slice.count);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    this.showThrough(view, loaded);
+    this.showThrough(view, loaded, [0, 0]);
     beside();
     this.drawn = { view, active: slice.count, loaded };
     const before = { slice: slice.sliceMs, readback: slice.wayMs + uploaded - started, sort: slice.sortMs };
@@ -255,7 +265,7 @@ export class Stage {
   }
 
   /** The image to the screen. */
-  private showThrough(view: View, { manifest }: Loaded): void {
+  private showThrough(view: View, { manifest }: Loaded, [x, y]: readonly [number, number]): void {
     const { gl, presenting } = this;
     const { frame, lens } = view;
     presenting.use();
@@ -263,6 +273,7 @@ export class Stage {
     gl.bindTexture(gl.TEXTURE_2D, this.target.image);
     gl.uniform1i(presenting.at("image"), 0);
     gl.uniform3f(presenting.at("fadeTo"), ...manifest.background);
+    gl.uniform2f(presenting.at("origin"), x, y);
     gl.uniform1f(presenting.at("fade"), view.fade);
     gl.uniform1f(presenting.at("feather"), featherOf(view));
     gl.uniform3f(presenting.at("outside"), ...OUTSIDE);
@@ -272,6 +283,48 @@ export class Stage {
     }
     gl.bindVertexArray(this.emptyArray);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** A layer that a headset shows. */
+  async headsetLayer(session: XRSession): Promise<XRWebGLLayer> {
+    await this.gl.makeXRCompatible();
+    return new XRWebGLLayer(session, this.gl, { antialias: false, depth: false, stencil: false, alpha: false });
+  }
+
+  /** The splats of a view in their order; none where another scene comes or the device has gone. */
+  async order(view: View): Promise<Order | null> {
+    const { loaded } = this;
+    if (!loaded || this.lost) return null;
+    try {
+      return { view, loaded, slice: await loaded.splats.slice(sliceViewOf(view)) };
+    } catch (error) {
+      if (loaded !== this.loaded) return null;
+      throw error;
+    }
+  }
+
+  /** Draws an order as both eyes of a headset see it. */
+  drawEyes({ view, loaded, slice }: Order, eyes: readonly Eye[], framebuffer: WebGLFramebuffer | null): void {
+    if (this.lost || loaded !== this.loaded) return;
+    const { gl } = this;
+    if (this.drawn?.view !== view) {
+      loaded.order.set(slice.ids);
+      loaded.nodes.set(slice.nodes);
+      this.drawn = { view, active: slice.count, loaded };
+    }
+    for (const { view: seen, x, y } of eyes) {
+      const { width, height } = seen.lens;
+      // splats move with the time of their order
+      const eye = { ...seen, t: view.t };
+      this.target.bind(width, height);
+      gl.viewport(0, 0, width, height);
+      gl.clearColor(...loaded.manifest.background, 1);
+      gl.clear(gl.COLOR_BUFFER_BIT);
+      this.drawSplats(eye, loaded, slice.count);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+      gl.viewport(x, y, width, height);
+      this.showThrough(eye, loaded, [x, y]);
+    }
   }
 
   /** Waits until the device has drawn the image, and notes what it cost. */

@@ -4,9 +4,9 @@ import { control, find } from "./dom";
 
 export const NARROW = window.matchMedia("(max-width: 719px)");
 
-const BAR = ["link", "screenshot", "theme", "help", "fullscreen"] as const;
+const BAR = ["link", "screenshot", "theme", "help", "headset", "fullscreen"] as const;
 const PLAYBACK = ["speed-open", "loop", "side", "reset"] as const;
-const GRID = ["side", "loop", "reset", "screenshot", "link", "theme", "help", "fullscreen"] as const;
+const GRID = ["side", "loop", "reset", "screenshot", "link", "theme", "help", "headset", "fullscreen"] as const;
 
 const slot = (name: string): HTMLElement => find(HTMLElement, `[data-slot="${name}"]`);
 

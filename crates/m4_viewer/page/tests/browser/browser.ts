@@ -46,13 +46,14 @@ export class Bench {
   }
 
   /** Opens an address in a window of its own; collects what goes wrong and what is asked of the network. */
-  async open(url: string, options: BrowserContextOptions = {}): Promise<Opened> {
+  async open(url: string, options: BrowserContextOptions = {}, prepare?: (page: Page) => Promise<void>): Promise<Opened> {
     const context = await this.browser.newContext({
       viewport: { width: 320, height: 180 },
       reducedMotion: "reduce",
       ...options,
     });
     const page = await context.newPage();
+    await prepare?.(page);
     const requests: string[] = [];
     const errors: string[] = [];
     page.on("request", (r) => {
