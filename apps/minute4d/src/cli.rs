@@ -4,6 +4,7 @@ use crate::commands::{
     self,
     batch::Batch,
     eval::{Eval, Split},
+    gallery::Gallery,
     geometry::{Enhance, Geometry},
     interchange::{Export, Import},
     manual::Manual,
@@ -57,6 +58,8 @@ pub enum Command {
     Import(Import),
     /// Show a scene in the browser from a local server; the page follows a training run
     View(View),
+    /// Make a page with previews of all scenes in a folder, for the web or a disk
+    Gallery(Gallery),
     /// Score a trained scene on the held-out views of a capture, optionally by a published protocol
     Eval(Eval),
     /// Split a capture into training and held-out frames by a protocol
@@ -87,6 +90,7 @@ impl Program for Cli {
             Command::Export(args) => commands::interchange::export(args, output),
             Command::Import(args) => commands::interchange::import(args, output),
             Command::View(args) => commands::view::run(args, output),
+            Command::Gallery(args) => commands::gallery::run(args, output),
             Command::Eval(args) => commands::eval::run(args, output),
             Command::Split(args) => commands::eval::split(args, output),
             Command::Batch(args) => commands::batch::run(args, &self.common, output),

@@ -9,10 +9,13 @@ pub mod batch;
 mod cli;
 mod commands;
 pub mod failure;
+mod gallery;
+mod html;
 mod memory;
 pub mod options;
 pub mod output;
 mod program;
+mod report_file;
 pub mod run;
 pub mod view;
 

@@ -9,6 +9,7 @@ mod enhance;
 mod examples;
 mod faults;
 mod features;
+mod gallery;
 mod geometry;
 #[cfg(unix)]
 mod hostile;

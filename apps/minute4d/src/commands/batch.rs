@@ -10,9 +10,8 @@ use crate::options::Common;
 use crate::options::{TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
 use crate::program::program;
+use crate::report_file;
 use clap::{Args, Subcommand};
-use m4_io::atomic;
-use m4_io::results::{Kind, ResultFolder};
 use minute4d::{Category, Error, Settings};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -93,14 +92,9 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
         script.text().map_err(Error::from)?,
         script.arrays(),
     );
-    let failed = |path: &Path| {
-        let path = path.to_path_buf();
-        move |source| Error::Write { path, source }
-    };
     // Slurm silently drops logs for a folder that does not exist.
-    std::fs::create_dir_all(&logs).map_err(failed(&logs))?;
-    claim(&file)?;
-    atomic::write(&file, text.as_bytes()).map_err(failed(&file))?;
+    std::fs::create_dir_all(&logs).map_err(Error::write(&logs))?;
+    report_file::write(&file, text.as_bytes())?;
     output.note(&format!(
         "{} jobs in {} array(s); logs in {}",
         manifest.jobs.len(),
@@ -129,17 +123,6 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses a file that exists and is not a result of an earlier call.
-fn claim(path: &Path) -> Result<(), Failure> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty())
-        .unwrap_or(Path::new("."));
-    let mut results = ResultFolder::open(folder, Kind::Report).map_err(Error::from)?;
-    Ok(results.claim([&*name]).map_err(Error::from)?)
-}
-
 fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
     let manifest = Manifest::read(&args.manifest)?;
     let mut report = Report::read(&manifest)?;
@@ -148,11 +131,7 @@ fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
             .manifest
             .file_stem()
             .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        claim(path)?;
-        atomic::write(path, page(&report, &title).as_bytes()).map_err(|source| Error::Write {
-            path: path.clone(),
-            source,
-        })?;
+        report_file::write(path, page(&report, &title).as_bytes())?;
         output.note(&format!(
             "overview of all clips written to {}",
             path.display()

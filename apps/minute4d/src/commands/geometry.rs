@@ -10,6 +10,7 @@ use crate::output::Output;
 use crate::run::Job;
 use clap::Args;
 use minute4d::device::DeviceChoice;
+use minute4d::geometry::GeometrySummary;
 use minute4d::settings::Segmenter;
 use minute4d::settings::Tracker;
 use serde_json::json;
@@ -58,18 +59,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     };
     let record = crate::run::geometry::make(input, out, &job)?;
     if let Some(summary) = &record.found {
-        output.note(&format!(
-            "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % dynamic, reprojection error {:.2} px",
-            summary.frames,
-            summary.size[0],
-            summary.size[1],
-            summary.fov_deg,
-            100.0 * summary.moving_share,
-            summary.residual_px
-        ));
-        if let Some(confidence) = &summary.confidence {
-            output.note(&confidence.description());
-        }
+        describe(summary, output);
         if cfg!(feature = "nets")
             && asked == Segmenter::Auto
             && summary.segmenter == Segmenter::None.name()
@@ -83,6 +73,22 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         json!({"path": out, "record": minute4d::plain_json(&record)?}),
     );
     Ok(())
+}
+
+/// Says what geometry measured, and how far it can be trusted.
+pub fn describe(summary: &GeometrySummary, output: &Output) {
+    output.note(&format!(
+        "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % dynamic, reprojection error {:.2} px",
+        summary.frames,
+        summary.size[0],
+        summary.size[1],
+        summary.fov_deg,
+        100.0 * summary.moving_share,
+        summary.residual_px
+    ));
+    if let Some(confidence) = &summary.confidence {
+        output.note(&confidence.description());
+    }
 }
 
 #[derive(Debug, Args)]

@@ -3,6 +3,7 @@
 pub mod batch;
 pub mod doctor;
 pub mod eval;
+pub mod gallery;
 pub mod geometry;
 pub mod interchange;
 pub mod manual;

@@ -1,14 +1,16 @@
 //! `minute4d run`: turns a video into a scene. `minute4d train`: trains a scene from a capture.
 
+use super::geometry::describe;
 use super::view::{PageArgs, while_training};
 use crate::failure::Failure;
 use crate::options::{OutArgs, TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
 use crate::run::Job;
-use crate::run::record::RunRecord;
+use crate::run::record::{GEOMETRY_FILE, GeometryRecord, RunRecord};
 use clap::Args;
 use minute4d::Observer;
-use minute4d::layout::{PREVIEW_FILE, VIEWER_FILE};
+use minute4d::json::read_json;
+use minute4d::layout::{CAPTURE_FOLDER, PREVIEW_FILE, VIEWER_FILE};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -62,6 +64,11 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
         Ok(done)
     };
     while_training(&args.page, (input, out), output, work, |done| {
+        // One that cannot be read makes the result no worse.
+        let record = read_json::<GeometryRecord>(&out.join(CAPTURE_FOLDER).join(GEOMETRY_FILE));
+        if let Some(summary) = record.ok().flatten().and_then(|record| record.found) {
+            describe(&summary, output);
+        }
         report(out, done, output)
     })
 }

@@ -3,6 +3,7 @@
 use crate::batch::layout::{JobRecord, Layout, Outcome};
 use crate::batch::manifest::{Job, Manifest};
 use crate::batch::publish::{Present, present};
+use crate::html::{escape, fill};
 use crate::run::record::RUN_FILE;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -229,20 +230,6 @@ pub fn page(report: &Report, title: &str) -> String {
     })
 }
 
-/// A template with what `value` says instead of each `{{name}}`.
-fn fill(template: &str, value: impl Fn(&str) -> String) -> String {
-    let (mut text, mut rest) = (String::new(), template);
-    while let Some((before, (name, after))) = rest
-        .split_once("{{")
-        .and_then(|(before, after)| Some((before, after.split_once("}}")?)))
-    {
-        text += before;
-        text += &value(name);
-        rest = after;
-    }
-    text + rest
-}
-
 fn card(clip: &ClipReport) -> String {
     let state = clip.state.name();
     let rows = [
@@ -279,22 +266,6 @@ fn poster(clip: &ClipReport) -> Option<String> {
         "<img alt=\"{alt}\" src=\"data:image/jpeg;base64,{}\">",
         STANDARD.encode(bytes)
     ))
-}
-
-/// Text that means nothing but itself.
-fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out += "&amp;",
-            '<' => out += "&lt;",
-            '>' => out += "&gt;",
-            '"' => out += "&quot;",
-            '\'' => out += "&#39;",
-            c => out.push(c),
-        }
-    }
-    out
 }
 
 #[cfg(test)]
