@@ -31,7 +31,7 @@ pub struct Entry {
     pub viewer_bytes: u64,
 }
 
-/// Lists the scenes in `root`, in the order of their folders' names: each folder with a viewer page.
+/// Lists the scenes in `root`, each folder with a viewer page, in the order of their names.
 ///
 /// # Errors
 ///

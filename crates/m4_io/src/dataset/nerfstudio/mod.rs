@@ -202,8 +202,8 @@ pub(crate) fn rows(c2w: &Se3<f64>) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// Reads the lens in `json`: `transforms.json`, or a file with its keys of the lens alone. `size` is
-/// that of images where the file states none, pixels.
+/// Reads the lens in `json`: `transforms.json`, or a file with its keys of the lens alone. `size`
+/// is that of images where the file states none, pixels.
 ///
 /// # Errors
 ///
