@@ -35,7 +35,7 @@ impl Bend {
 
     /// The inverse of [`Self::distorted`].
     pub fn pinhole(self, at: [f64; 2]) -> [f64; 2] {
-        // Pixels that no pinhole shows lie outside of the image for all coefficients that are tried.
+        // What no pinhole shows lies outside of the image for all coefficients that are tried.
         let down = (1.0 + self.coefficient * self.share(at)).max(0.02);
         at.map(|v| v / down)
     }
