@@ -8,10 +8,11 @@ use crate::options::{
 };
 use crate::output::Output;
 use crate::run::Job;
+use crate::run::record::GeometryRecord;
 use clap::Args;
+use m4_core::advice::DEPTH_WEIGHTS;
 use minute4d::device::DeviceChoice;
-use minute4d::settings::Segmenter;
-use minute4d::settings::Tracker;
+use minute4d::settings::{GeometryOptions, Segmenter, Tracker};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -49,7 +50,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     else {
         return print_config(&settings, output);
     };
-    let asked = settings.geometry.segmenter;
+    let asked = settings.geometry.clone();
     let job = Job {
         settings,
         device: args.device.into(),
@@ -70,19 +71,29 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         if let Some(confidence) = &summary.confidence {
             output.note(&confidence.description());
         }
-        if cfg!(feature = "nets")
-            && asked == Segmenter::Auto
-            && summary.segmenter == Segmenter::None.name()
-            && summary.keyframes.is_none()
-        {
-            output.note("MobileSAM improves the masks of dynamic objects: `minute4d weights fetch mobile-sam`");
-        }
     }
+    advise(&record, &asked, output);
     output.result(
         &out.display().to_string(),
         json!({"path": out, "record": minute4d::plain_json(&record)?}),
     );
     Ok(())
+}
+
+/// Says in one line which weights would help this clip most, unless a warning said it or none
+/// would.
+pub fn advise(record: &GeometryRecord, asked: &GeometryOptions, output: &Output) {
+    let mut warnings = record.warnings.iter();
+    if warnings.any(|warning| warning.contains(DEPTH_WEIGHTS)) {
+        return;
+    }
+    let advice = record
+        .found
+        .as_ref()
+        .and_then(|summary| summary.helpful_weights(asked));
+    if let Some(advice) = advice {
+        output.note(&format!("what would help this clip most: {advice}"));
+    }
 }
 
 #[derive(Debug, Args)]

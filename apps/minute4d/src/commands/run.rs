@@ -4,11 +4,11 @@ use super::view::{PageArgs, while_training};
 use crate::failure::Failure;
 use crate::options::{OutArgs, TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
-use crate::run::Job;
-use crate::run::record::RunRecord;
+use crate::run::record::{GeometryRecord, RunRecord};
+use crate::run::{Job, geometry};
 use clap::Args;
 use minute4d::Observer;
-use minute4d::layout::{PREVIEW_FILE, VIEWER_FILE};
+use minute4d::layout::{CAPTURE_FOLDER, PREVIEW_FILE, VIEWER_FILE};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -48,6 +48,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let device = args.training.device.request()?;
+    let asked = settings.geometry.clone();
     let work = |observer: &dyn Observer| {
         let job = Job {
             settings,
@@ -62,6 +63,12 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
         Ok(done)
     };
     while_training(&args.page, (input, out), output, work, |done| {
+        // the input of a run may be a capture, whose geometry is not this run's
+        if done.stages.contains_key(geometry::STAGE)
+            && let Some(record) = GeometryRecord::read(&out.join(CAPTURE_FOLDER))?
+        {
+            super::geometry::advise(&record, &asked, output);
+        }
         report(out, done, output)
     })
 }
