@@ -172,7 +172,8 @@ fn plan(
         };
         let checksum = match row.entry.sha256 {
             Some(sha256) => format!("SHA-256 {sha256}"),
-            None => "no checksum is known: the first download is trusted".to_owned(),
+            None => "no checksum is known here: the host's counts, or else the first download is trusted"
+                .to_owned(),
         };
         let consent = match row.needs_consent {
             true => ", which forbids commercial use (--accept-license)",
