@@ -1,9 +1,9 @@
-//! Names the option of this program behind each advice of the library.
+//! Names the option or the command of this program behind each advice of the library.
 
 use m4_core::advice;
 
-/// The option for each phrase.
-const OPTIONS: [(&str, &str); 16] = [
+/// The option or the command for each phrase.
+const OPTIONS: [(&str, &str); 18] = [
     (advice::FIELD_OF_VIEW, "--fov"),
     (advice::STATIC_CAMERA, "--static-camera"),
     (advice::MASKS, "--masks"),
@@ -20,9 +20,14 @@ const OPTIONS: [(&str, &str); 16] = [
     (advice::NO_SEGMENTER, "--segmenter none"),
     (advice::FLOW_TRACKER, "--tracker flow"),
     (advice::LICENCE, "--accept-license"),
+    (
+        advice::DEPTH_WEIGHTS,
+        "minute4d weights fetch moge-2-s-normal",
+    ),
+    (advice::MASK_WEIGHTS, "minute4d weights fetch mobile-sam"),
 ];
 
-/// The message with the option behind each advice.
+/// The message with the option or the command behind each advice.
 pub fn with_options(message: &str) -> String {
     let mut text = message.to_owned();
     for (advice, option) in OPTIONS {
@@ -57,9 +62,15 @@ mod tests {
             options.extend(inner.get_subcommands().flat_map(all));
         }
         for (_, option) in OPTIONS {
+            #[cfg(feature = "nets")]
+            if let Some(weights) = option.strip_prefix("minute4d weights fetch ") {
+                assert!(minute4d::weights::find(weights).is_ok(), "{option}");
+                continue;
+            }
             let name = option.trim_start_matches("--").split(' ').next().unwrap();
             assert!(
-                options.contains(name) || !cfg!(feature = "nets") && name == "accept-license",
+                options.contains(name)
+                    || !cfg!(feature = "nets") && matches!(name, "accept-license" | "minute4d"),
                 "{option}"
             );
         }

@@ -5,7 +5,7 @@ use crate::BUILD_FULL;
 use crate::advice::with_options;
 use minute4d::NetworkError;
 #[cfg(feature = "nets")]
-use minute4d::weights::{self, Entry, Origin, WeightsError};
+use minute4d::weights::{self, Entry, WeightsError};
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::error::Error;
 use std::sync::{Mutex, PoisonError};
@@ -110,7 +110,7 @@ fn command_for(error: &(dyn Error + 'static)) -> Option<String> {
     }
 }
 
-/// The command that gets weights; `FILE` is what the user brings.
+/// The command that gets weights.
 #[cfg(feature = "nets")]
 pub(crate) fn command(entry: &Entry) -> String {
     let agree = if entry.commercial {
@@ -118,10 +118,7 @@ pub(crate) fn command(entry: &Entry) -> String {
     } else {
         " --accept-license"
     };
-    match entry.origin {
-        Origin::Pip(_) => format!("minute4d weights fetch {}{agree}", entry.name),
-        _ => format!("minute4d weights add {} FILE{agree}", entry.name),
-    }
+    format!("minute4d weights fetch {}{agree}", entry.name)
 }
 
 static LAST: Mutex<Option<String>> = Mutex::new(None);

@@ -51,11 +51,11 @@ fn impossible_enhancements_are_rejected_with_a_reason() {
     dir.refused(line, 2, &["nothing to do"]);
     of_networks(
         "enhance capture -o out --segmenter sam2",
-        &["weights add sam2.1-large", "--segmenter none"],
+        &["weights fetch sam2.1-large", "--segmenter none"],
     );
     of_networks(
         "enhance capture -o out --tracker tapip3d",
-        &["weights add tapip3d", "--tracker flow"],
+        &["weights fetch tapip3d", "--tracker flow"],
     );
     dir.refused("enhance nowhere -o out", 66, &["nowhere"]);
     assert!(!dir.path("out").exists());
@@ -79,7 +79,7 @@ fn networks_enhance_a_capture() {
         .scaled("point_updater.flow_head.weight", 0.005)
         .write_with(
             Some(("config", config)),
-            &store.join("tapip3d/tapip3d.safetensors"),
+            &store.join("tapip3d/tapip3d_final.pth"),
         );
     m4_io::capture::write(
         &dir.path("capture"),

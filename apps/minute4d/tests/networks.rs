@@ -1,5 +1,5 @@
-//! A front end of networks with synthetic weights, and `minute4d weights` without a network: `pip`
-//! is a script of the test's.
+//! A front end of networks with synthetic weights, and `minute4d weights` with a server of the
+//! test's in place of Hugging Face.
 #![cfg(feature = "nets")]
 
 use crate::common::{Ended, Scratch, read_capture, text};
@@ -7,7 +7,7 @@ use m4_core::{Capture, Plane};
 use m4_geometry::megasam::tracker::TrackerSettings;
 use m4_io::capture::Split;
 use m4_io::image::write_rgb;
-use m4_testkit::write_formula_weights;
+use m4_testkit::{FormulaWeights, Server, write_formula_weights};
 use minute4d::device::{DeviceChoice, DeviceRequest};
 use minute4d::{Existing, Settings, Silent};
 use minute4d_cli::run::{Job, geometry};
@@ -163,7 +163,11 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
         (
             "megasam+moge",
             66,
-            &["moge", "minute4d weights add", "--frontend classical"][..],
+            &[
+                "moge",
+                "minute4d weights fetch moge-2-l-normal",
+                "--frontend classical",
+            ][..],
         ),
         ("classical+raft", 2, &["classical", "raft", "flow"]),
         ("gmflow", 2, &["gmflow", "raft"]),
@@ -187,14 +191,39 @@ fn incompatible_or_missing_front_end_parts_are_rejected() {
     dir.refused_with("geometry clip -o out --frontend raft", &env, 69, &words);
 }
 
-/// Calls `weights LINE --json` with the store in `store` and the programs of `bin` alone.
-fn weights(dir: &Scratch, line: &str) -> Ended {
-    fs::create_dir_all(dir.path("bin")).unwrap();
+/// Calls `weights LINE --json` with the store in `store`, and `mirror` in place of Hugging Face;
+/// without one the network is switched off.
+fn weights_of(dir: &Scratch, line: &str, mirror: Option<&Server>) -> Ended {
     let mut command = dir.command(&format!("weights {line} --json"));
-    command
-        .env("MINUTE4D_WEIGHTS", dir.path("store"))
-        .env("PATH", dir.path("bin"));
+    for proxy in ["HTTPS_PROXY", "HTTP_PROXY", "ALL_PROXY"] {
+        command
+            .env_remove(proxy)
+            .env_remove(proxy.to_ascii_lowercase());
+    }
+    match mirror {
+        Some(server) => command
+            .env("HF_ENDPOINT", server.url())
+            .env("HF_TOKEN", "secret")
+            .env_remove("HF_HUB_OFFLINE"),
+        None => command
+            .env_remove("HF_ENDPOINT")
+            .env_remove("HF_TOKEN")
+            .env("HF_HUB_OFFLINE", "1"),
+    };
+    command.env("MINUTE4D_WEIGHTS", dir.path("store"));
     Ended::of(command.output().unwrap())
+}
+
+fn weights(dir: &Scratch, line: &str) -> Ended {
+    weights_of(dir, line, None)
+}
+
+/// A server that has `bytes` alone.
+fn serving(bytes: Vec<u8>) -> Server {
+    Server::start(move |_| {
+        let head = format!("HTTP/1.1 200 OK\r\nContent-Length: {}\r\n\r\n", bytes.len());
+        Some([head.as_bytes(), &bytes].concat())
+    })
 }
 
 fn reason(ended: &Ended, code: i32, words: &[&str]) {
@@ -221,14 +250,9 @@ fn weights_list_names_known_and_installed_files() {
             .clone()
     };
     assert_eq!(row("mobile-sam")["bytes"], 40_728_226);
-    assert_eq!(row("mobile-sam")["got_by"], "fetch");
     assert!(row("mobile-sam")["path"].is_null());
     assert_eq!(row("tapip3d")["commercial"], false);
-    assert_eq!(row("megasam")["got_by"], "add");
-    assert_eq!(
-        row("megasam")["command"],
-        "minute4d weights add megasam FILE"
-    );
+    assert_eq!(row("megasam")["command"], "minute4d weights fetch megasam");
     assert!(
         row("megasam")["without"]
             .as_str()
@@ -245,16 +269,24 @@ fn unfetchable_weights_are_rejected_with_a_reason() {
         2,
         &["did you mean mobile-sam"],
     );
+    // without a network: where it would come from, and how to install a file got by hand
     reason(
         &weights(&dir, "fetch megasam"),
         66,
-        &["weights add megasam FILE"],
+        &[
+            "HF_HUB_OFFLINE",
+            "https://raw.githubusercontent.com/mega-sam/mega-sam/",
+            "weights add megasam FILE",
+        ],
     );
+    // a licence is asked for before anything is fetched
+    let server = serving(b"a checkpoint".to_vec());
     reason(
-        &weights(&dir, "fetch mobile-sam"),
-        69,
-        &["no pip was found", "weights add mobile-sam FILE"],
+        &weights_of(&dir, "fetch moge-2-s-normal paper", Some(&server)),
+        2,
+        &["unidepth-v2-l", "--accept-license"],
     );
+    assert!(server.requests().is_empty());
     dir.write("mine.pkl", b"something else");
     reason(
         &weights(&dir, "add mobile-sam mine.pkl"),
@@ -294,4 +326,104 @@ fn added_file_is_installed_and_verified() {
     assert_eq!(report[0]["condition"], "as added", "{report}");
     fs::write(dir.path("store/megasam/megasam_final.pth"), b"a chackpoint").unwrap();
     reason(&weights(&dir, "verify"), 65, &["megasam is damaged"]);
+}
+
+#[test]
+fn a_dry_run_uses_no_network() {
+    let dir = Scratch::new();
+    let server = serving(b"a checkpoint".to_vec());
+    let line = "fetch recommended paper recommended --dry-run";
+    let rows = weights_of(&dir, line, Some(&server)).result();
+    let named = |name: &str| {
+        let rows = rows.as_array().unwrap().iter();
+        let rows: Vec<&Value> = rows.filter(|row| row["name"] == name).collect();
+        assert_eq!(rows.len(), 1, "{name} in {rows:?}");
+        rows[0].clone()
+    };
+    let moge = named("moge-2-s-normal");
+    assert_eq!(
+        moge["url"],
+        format!(
+            "{}/Ruicheng/moge-2-vits-normal/resolve/main/model.pt",
+            server.url()
+        )
+    );
+    assert_eq!(
+        (&moge["licence"], &moge["installed"], &moge["needs_consent"]),
+        (&"MIT".into(), &false.into(), &false.into())
+    );
+    assert_eq!(named("unidepth-v2-l")["needs_consent"], true);
+    assert!(server.requests().is_empty() && !dir.path("store").exists());
+    let ended = dir.succeed("weights fetch mobile-sam tapip3d --dry-run");
+    for words in [
+        "mobile-sam: 40.7 MB from https://",
+        "licence: Apache-2.0; SHA-256 6dbb",
+        "forbids commercial use (--accept-license)",
+        "the first download is trusted",
+    ] {
+        assert!(ended.stdout.contains(words), "{}", ended.stdout);
+    }
+}
+
+/// A static camera, which says nothing of depth.
+fn write_static_clip(folder: &Path) {
+    fs::create_dir(folder).unwrap();
+    let frame = Plane::from_fn(96, 64, |x, y| {
+        let (x, y) = (x as f32, y as f32);
+        let wave = |a: f32, b: f32| (127.0 + 60.0 * (a * x).sin() + 60.0 * (b * y).cos()) as u8;
+        [wave(0.21, 0.13), wave(0.09, 0.31), wave(0.37, 0.05)]
+    });
+    for k in 0..3 {
+        write_rgb(&folder.join(format!("{k}.png")), &frame).unwrap();
+    }
+}
+
+#[test]
+fn fetched_depth_is_used_by_the_next_run() {
+    let dir = Scratch::new();
+    write_static_clip(&dir.path("clip"));
+    let line = "geometry clip -o out --force --segmenter none --json";
+    let run = || {
+        let mut command = dir.command(line);
+        command.env("MINUTE4D_WEIGHTS", dir.path("store"));
+        let ended = Ended::of(command.output().unwrap());
+        assert_eq!(ended.code, 0, "{}", ended.stderr);
+        ended
+    };
+    // the first that is said of a clip without parallax is what gives it depth
+    let before = run();
+    let record = before.result()["record"].clone();
+    assert_eq!(record["found"]["frontend"], "classical", "{record}");
+    let first = before.stderr.lines().next().unwrap();
+    for words in ["MoGe-2 S", "MIT", "minute4d weights fetch moge-2-s-normal"] {
+        assert!(first.contains(words), "{}", before.stderr);
+    }
+    let file = dir.path("model.safetensors");
+    FormulaWeights::of_keys(include_str!("../../../fixtures/moge2/vits_normal.keys.txt"))
+        .with("mask_head.output_blocks.4.bias", &[0.3])
+        .scaled("points_head.output_blocks.4.weight", 0.3)
+        .write(&file);
+    let server = serving(fs::read(&file).unwrap());
+    let fetched = weights_of(&dir, "fetch moge-2-s-normal", Some(&server));
+    assert_eq!(fetched.code, 0, "{}", fetched.stderr);
+    let installed = fetched.result()[0].clone();
+    assert_eq!(installed["published"], false, "{installed}");
+    assert_eq!(installed["sha256"].as_str().unwrap().len(), 64);
+    assert!(
+        server.requests()[0]
+            .to_lowercase()
+            .contains("bearer secret")
+    );
+    let after = run();
+    let record = after.result()["record"].clone();
+    assert_eq!(record["found"]["frontend"], "classical+moge", "{record}");
+    assert_eq!(
+        record["found"]["networks"][0]["weights"], "moge-2-s-normal",
+        "{record}"
+    );
+    assert!(
+        !after.stderr.contains("weights fetch moge"),
+        "{}",
+        after.stderr
+    );
 }

@@ -33,9 +33,13 @@ pub const NO_SEGMENTER: &str = "use no segmenter";
 pub const FLOW_TRACKER: &str = "use the tracker flow";
 /// A licence forbids commercial use.
 pub const LICENCE: &str = "accept the licence";
+/// A network would give depth that parallax does not give.
+pub const DEPTH_WEIGHTS: &str = "get the weights of MoGe-2 S (0.14 GB, MIT) for its depth";
+/// A network would give better masks.
+pub const MASK_WEIGHTS: &str = "get the weights of MobileSAM (0.04 GB, Apache-2.0) for its masks";
 
 /// Every phrase.
-pub const ALL: [&str; 16] = [
+pub const ALL: [&str; 18] = [
     FIELD_OF_VIEW,
     STATIC_CAMERA,
     MASKS,
@@ -52,4 +56,6 @@ pub const ALL: [&str; 16] = [
     NO_SEGMENTER,
     FLOW_TRACKER,
     LICENCE,
+    DEPTH_WEIGHTS,
+    MASK_WEIGHTS,
 ];

@@ -8,9 +8,14 @@ use m4_nets::{
     ClipError, LoadError, NetError, PointQuery, PosedClip, Tapip3d, Tapip3dOptions, cpu,
 };
 use m4_testkit::{FormulaWeights, same_on_any_threads};
+use safetensors::SafeTensors;
+use std::fs::File;
+use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tempfile::TempDir;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
 
 const KEYS: &str = include_str!("../../../fixtures/tapip3d/keys.txt");
 const CONFIG: &str = include_str!("../../../fixtures/tapip3d/config.json");
@@ -99,15 +104,84 @@ fn options() -> Tapip3dOptions {
     }
 }
 
+/// The pickle of a checkpoint as it is published, by Python and OmegaConf.
+const PUBLISHED: &[u8] = include_bytes!("../../../fixtures/tapip3d/published.pkl");
+
+/// The checkpoint of the safetensors file at `path` as PyTorch writes it.
+fn write_published(path: &Path, pickle: &[u8]) -> std::path::PathBuf {
+    let bytes = std::fs::read(path).unwrap();
+    let tensors = SafeTensors::deserialize(&bytes).unwrap();
+    let published = path.with_file_name("tapip3d_final.pth");
+    let mut archive = ZipWriter::new(File::create(&published).unwrap());
+    let mut entry = |name: &str, bytes: &[u8]| {
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+        let name = format!("tapip3d_final/{name}");
+        archive.start_file(name, options).unwrap();
+        archive.write_all(bytes).unwrap();
+    };
+    entry("data.pkl", pickle);
+    entry("byteorder", b"little");
+    for (i, line) in KEYS.lines().enumerate() {
+        let name = line.split_whitespace().next().unwrap();
+        entry(&format!("data/{i}"), tensors.tensor(name).unwrap().data());
+    }
+    entry("version", b"3\n");
+    archive.finish().unwrap();
+    published
+}
+
 #[test]
-fn says_how_a_checkpoint_is_converted() {
+fn the_published_checkpoint_is_read_as_it_is() {
+    let folder = TempDir::new().unwrap();
+    let plain = write(folder.path(), KEYS, Some(CONFIG));
+    let published = write_published(&plain, PUBLISHED);
+    let tracks = |path: &Path| {
+        let net = Tapip3d::load(path, cpu()).unwrap();
+        assert_eq!(net.published_size(), (316, 226));
+        let asked = queries(&[0, 3]);
+        net.track(&Wall::of(6), &asked, &options(), &Silent)
+            .unwrap()
+    };
+    assert_eq!(tracks(&published), tracks(&plain));
+    // of other things nothing is taken for it
+    let without = |from: &str, to: &str| {
+        let mut pickle = PUBLISHED.to_vec();
+        let at = pickle
+            .windows(from.len())
+            .position(|w| w == from.as_bytes());
+        pickle[at.unwrap()..][..to.len()].copy_from_slice(to.as_bytes());
+        let error = Tapip3d::load(&write_published(&plain, &pickle), cpu()).unwrap_err();
+        assert!(matches!(error, LoadError::Unreadable { .. }), "{error}");
+        error.to_string()
+    };
+    for (from, to, said) in [
+        ("cfg", "cfh", "`cfg`"),
+        ("model", "modem", "section `model`"),
+        ("${train_dataset", "${train_dataser", "train_dataser"),
+        (
+            "${train_dataset.resolution}",
+            "${model.image_size}#######",
+            "refers to",
+        ),
+    ] {
+        let error = without(from, to);
+        assert!(error.contains(said), "{said:?} is not in {error}");
+    }
+    let cut = write_published(&plain, &PUBLISHED[..PUBLISHED.len() / 2]);
+    let error = Tapip3d::load(&cut, cpu()).unwrap_err().to_string();
+    assert!(error.contains("cut off"), "{error}");
+}
+
+#[test]
+fn a_checkpoint_without_a_fitting_configuration_is_refused() {
     let folder = TempDir::new().unwrap();
     let error = Tapip3d::load(&write(folder.path(), KEYS, None), cpu()).unwrap_err();
-    assert!(error.to_string().contains("convert_tapip3d.py"), "{error}");
+    let said = "neither the published checkpoint nor safetensors";
+    assert!(error.to_string().contains(said), "{error}");
     let raw = folder.path().join("tapip3d_final.pth");
     std::fs::write(&raw, b"PK\x03\x04 and so on").unwrap();
     let error = Tapip3d::load(&raw, cpu()).unwrap_err();
-    assert!(error.to_string().contains("convert_tapip3d.py"), "{error}");
+    assert!(error.to_string().contains(said), "{error}");
     let missing = Tapip3d::load(&folder.path().join("none"), cpu()).unwrap_err();
     assert!(matches!(missing, LoadError::Missing { .. }));
     for (from, to, said) in [

@@ -13,6 +13,7 @@ mod compare;
 mod fixture;
 mod formula;
 mod mutate;
+mod server;
 mod skip;
 mod synthetic;
 mod tensors;
@@ -27,6 +28,7 @@ pub use compare::{
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
 pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights};
 pub use mutate::{StopAtPoll, mutate};
+pub use server::Server;
 pub use skip::{Need, SKIPPED_VARIABLE, on_every_level, repository, shared, skip};
 pub use synthetic::{
     MovingScene, SceneSpec, bare_scene, bind_at_random, bound_scene, camera_looking_at,

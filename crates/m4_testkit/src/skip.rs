@@ -24,8 +24,6 @@ pub enum Need {
     HalfPrecision,
     /// npm, and the packages that it fetches.
     Npm,
-    /// Python with pip.
-    Pip,
     /// The benchmark scenes and clips beside the repository.
     Shared,
     /// Published weights of a network.
@@ -54,10 +52,6 @@ impl Need {
             Self::Npm => (
                 "npm",
                 "install Node.js with npm, and let it reach its registry",
-            ),
-            Self::Pip => (
-                "pip",
-                "install Python with pip (apt-get install python3-pip)",
             ),
             Self::Shared => (
                 "shared",

@@ -44,6 +44,18 @@ impl<'a> Steps<'a> {
         self.progress
     }
 
+    /// Returns the same steps with another receiver of progress and warnings.
+    pub(crate) fn observed_by<'b>(&self, progress: &'b dyn Progress) -> Steps<'b>
+    where
+        'a: 'b,
+    {
+        Steps {
+            progress,
+            cache: self.cache,
+            prefix: self.prefix,
+        }
+    }
+
     /// Returns the value of a step: from the cache, with its warnings repeated, or computed by
     /// `work` and kept. Warnings of `work` go to the progress that it is given.
     pub(crate) fn keep<T: Serialize + DeserializeOwned, E>(

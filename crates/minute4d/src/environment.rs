@@ -60,12 +60,10 @@ const STARTS: [&str; 15] = [
     "ROCR_",
 ];
 
-/// Gives `command` of this process's environment what a run needs, variables that start with one of
-/// `more`, and nothing else.
-pub fn pass_on(command: &mut Command, more: &[&str]) {
-    let needed = |name: &str| is_needed(name) || more.iter().any(|start| name.starts_with(start));
+/// Gives `command` of this process's environment what a run needs, and nothing else.
+pub fn pass_on(command: &mut Command) {
     command.env_clear();
-    command.envs(std::env::vars_os().filter(|(name, _)| name.to_str().is_some_and(needed)));
+    command.envs(std::env::vars_os().filter(|(name, _)| name.to_str().is_some_and(is_needed)));
 }
 
 /// Whether a run needs the variable. Windows does not tell small letters from capital ones.
@@ -102,7 +100,6 @@ mod tests {
             "HF_TOKEN",
             "NVIDIA_API_KEY",
             "SSH_AUTH_SOCK",
-            "PIP_INDEX_URL",
             "HTTPS_PROXY",
             "PATH2",
             "SLURM_JOB_ID",

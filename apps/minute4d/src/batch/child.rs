@@ -33,7 +33,7 @@ pub(crate) struct Ended {
 /// goes to `log`, and which stages it went through.
 pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::Result<Ended> {
     let stages = log.try_clone()?;
-    environment::pass_on(&mut command, &[]);
+    environment::pass_on(&mut command);
     command
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

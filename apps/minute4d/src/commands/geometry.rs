@@ -8,11 +8,11 @@ use crate::options::{
 };
 use crate::output::Output;
 use crate::run::Job;
+use crate::run::record::GeometryRecord;
 use clap::Args;
+use m4_core::advice::DEPTH_WEIGHTS;
 use minute4d::device::DeviceChoice;
-use minute4d::geometry::GeometrySummary;
-use minute4d::settings::Segmenter;
-use minute4d::settings::Tracker;
+use minute4d::settings::{GeometryOptions, Segmenter, Tracker};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -50,7 +50,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     else {
         return print_config(&settings, output);
     };
-    let asked = settings.geometry.segmenter;
+    let asked = settings.geometry.clone();
     let job = Job {
         settings,
         device: args.device.into(),
@@ -58,16 +58,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         observer: output,
     };
     let record = crate::run::geometry::make(input, out, &job)?;
-    if let Some(summary) = &record.found {
-        describe(summary, output);
-        if cfg!(feature = "nets")
-            && asked == Segmenter::Auto
-            && summary.segmenter == Segmenter::None.name()
-            && summary.keyframes.is_none()
-        {
-            output.note("MobileSAM improves the masks of dynamic objects: `minute4d weights fetch mobile-sam`");
-        }
-    }
+    describe(&record, &asked, output);
     output.result(
         &out.display().to_string(),
         json!({"path": out, "record": minute4d::plain_json(&record)?}),
@@ -75,8 +66,10 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Says what geometry measured, and how far it can be trusted.
-pub fn describe(summary: &GeometrySummary, output: &Output) {
+/// Says what geometry measured and how far it can be trusted, and in one line which weights would
+/// help this clip most, unless a warning said it or none would.
+pub fn describe(record: &GeometryRecord, asked: &GeometryOptions, output: &Output) {
+    let Some(summary) = &record.found else { return };
     output.note(&format!(
         "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % dynamic, reprojection error {:.2} px",
         summary.frames,
@@ -88,6 +81,13 @@ pub fn describe(summary: &GeometrySummary, output: &Output) {
     ));
     if let Some(confidence) = &summary.confidence {
         output.note(&confidence.description());
+    }
+    let mut warnings = record.warnings.iter();
+    if warnings.any(|warning| warning.contains(DEPTH_WEIGHTS)) {
+        return;
+    }
+    if let Some(advice) = summary.helpful_weights(asked) {
+        output.note(&format!("what would help this clip most: {advice}"));
     }
 }
 

@@ -5,11 +5,10 @@ use super::view::{PageArgs, while_training};
 use crate::failure::Failure;
 use crate::options::{OutArgs, TrainingArgs, VideoArgs, print_config};
 use crate::output::{Output, duration};
-use crate::run::Job;
-use crate::run::record::{GEOMETRY_FILE, GeometryRecord, RunRecord};
+use crate::run::record::{GeometryRecord, RunRecord};
+use crate::run::{Job, geometry};
 use clap::Args;
 use minute4d::Observer;
-use minute4d::json::read_json;
 use minute4d::layout::{CAPTURE_FOLDER, PREVIEW_FILE, VIEWER_FILE};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -50,6 +49,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let device = args.training.device.request()?;
+    let asked = settings.geometry.clone();
     let work = |observer: &dyn Observer| {
         let job = Job {
             settings,
@@ -64,10 +64,11 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
         Ok(done)
     };
     while_training(&args.page, (input, out), output, work, |done| {
-        // One that cannot be read makes the result no worse.
-        let record = read_json::<GeometryRecord>(&out.join(CAPTURE_FOLDER).join(GEOMETRY_FILE));
-        if let Some(summary) = record.ok().flatten().and_then(|record| record.found) {
-            describe(&summary, output);
+        // the input of a run may be a capture, whose geometry is not this run's
+        if done.stages.contains_key(geometry::STAGE)
+            && let Some(record) = GeometryRecord::read(&out.join(CAPTURE_FOLDER))?
+        {
+            describe(&record, &asked, output);
         }
         report(out, done, output)
     })

@@ -3,7 +3,7 @@
 use crate::failure::Failure;
 use crate::output::Output;
 use clap::{Args, Subcommand};
-use minute4d::weights::{self, Condition, Entry, Origin, Record, Store, WeightsError};
+use minute4d::weights::{self, Condition, Entry, Network, Record, Store, WeightsError};
 use minute4d::{Category, Progress};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -19,17 +19,22 @@ pub struct Weights {
 pub enum WeightsAction {
     /// List names, sizes, licences and uses, and whether they are installed
     List,
-    /// Download weights with pip, verify and install them
+    /// Download weights from their authors' hosts, verify and install them
     ///
-    /// Weights that no Python package contains must be downloaded by hand and installed with
-    /// `minute4d weights add`.
+    /// An interrupted download continues with the same command. Variables of the environment:
+    /// HTTPS_PROXY, ALL_PROXY and NO_PROXY; HF_ENDPOINT (a mirror of Hugging Face), HF_TOKEN (sent
+    /// there alone) and HF_HUB_OFFLINE.
     Fetch {
-        /// Names from the list
+        /// Names from the list, or a set: `recommended` (for most clips; commercial use is
+        /// allowed), `paper` (the paper's own chain)
         #[arg(required = true, value_name = "NAME")]
         names: Vec<String>,
         /// Agree to a licence that forbids commercial use
         #[arg(long)]
         accept_license: bool,
+        /// Say what would be downloaded, and use no network
+        #[arg(long)]
+        dry_run: bool,
     },
     /// Install weights from a file after verifying them
     Add {
@@ -56,14 +61,13 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
         WeightsAction::Fetch {
             names,
             accept_license,
+            dry_run,
         } => {
-            let mut records = Vec::new();
-            for name in names {
-                let entry = find_entry(name)?;
-                let record = weights::fetch(entry, &store, None, *accept_license, output);
-                records.push(record.map_err(|error| or_by_hand(entry, error))?);
+            let entries = select(names)?;
+            match dry_run {
+                true => plan(&entries, &store, *accept_license, output),
+                false => fetch(&entries, &store, *accept_license, output),
             }
-            report_installed(&store, &records, output)
         }
         WeightsAction::Add {
             name,
@@ -84,12 +88,118 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
     }
 }
 
+/// The entries of names and sets, each once.
+fn select(names: &[String]) -> Result<Vec<&'static Entry>, Failure> {
+    let mut entries: Vec<&Entry> = Vec::new();
+    for name in names {
+        for entry in weights::select(name).map_err(minute4d::Error::from)? {
+            if !entries.iter().any(|other| other.name == entry.name) {
+                entries.push(entry);
+            }
+        }
+    }
+    Ok(entries)
+}
+
+fn fetch(
+    entries: &[&'static Entry],
+    store: &Store,
+    accept_license: bool,
+    output: &Output,
+) -> Result<(), Failure> {
+    // every licence before the first download
+    for entry in entries {
+        weights::check_licence(entry, accept_license).map_err(minute4d::Error::from)?;
+    }
+    let network = Network::of_user();
+    let mut records = Vec::new();
+    for entry in entries {
+        if store.installed(entry).is_none() {
+            let url = network.url(&entry.origin);
+            let (name, licence) = (entry.name, entry.licence);
+            output.note(&format!(
+                "{name}: {} from {url}, licence: {licence}",
+                size(entry)
+            ));
+        }
+        let record = weights::fetch(entry, store, &network, accept_license, output);
+        records.push(record.map_err(|error| or_by_hand(entry, error))?);
+    }
+    report_installed(store, &records, output)
+}
+
+/// The size in MB, which is an estimate where only the number of weights is known.
+fn size(entry: &Entry) -> String {
+    match entry.bytes {
+        Some(bytes) => format!("{:.1} MB", bytes as f64 / 1e6),
+        None => format!("about {} MB", entry.megabytes),
+    }
+}
+
+/// A row of a `fetch --dry-run`.
+#[derive(Debug, Serialize)]
+struct Planned {
+    #[serde(flatten)]
+    entry: &'static Entry,
+    url: String,
+    installed: bool,
+    /// Whether its licence forbids commercial use and was not accepted.
+    needs_consent: bool,
+}
+
+fn plan(
+    entries: &[&'static Entry],
+    store: &Store,
+    accept_license: bool,
+    output: &Output,
+) -> Result<(), Failure> {
+    let network = Network::of_user();
+    let planned: Vec<Planned> = entries
+        .iter()
+        .map(|entry| Planned {
+            entry,
+            url: network.url(&entry.origin),
+            installed: store.installed(entry).is_some(),
+            needs_consent: weights::check_licence(entry, accept_license).is_err(),
+        })
+        .collect();
+    let mut text = String::new();
+    for row in &planned {
+        let Entry { name, licence, .. } = row.entry;
+        let what = match row.installed {
+            true => "is installed, and would be fetched again if it is damaged".to_owned(),
+            false => format!("{} from {}", size(row.entry), row.url),
+        };
+        let checksum = match row.entry.sha256 {
+            Some(sha256) => format!("SHA-256 {sha256}"),
+            None => "no checksum is known here: the host's counts, or else the first download is trusted"
+                .to_owned(),
+        };
+        let consent = match row.needs_consent {
+            true => ", which forbids commercial use (--accept-license)",
+            false => "",
+        };
+        text += &format!("{name}: {what}; licence: {licence}{consent}; {checksum}\n");
+    }
+    let missing = planned.iter().filter(|row| !row.installed);
+    let megabytes: u32 = missing.map(|row| row.entry.megabytes).sum();
+    text += &format!(
+        "about {megabytes} MB to download into {}\n",
+        store.root().display()
+    );
+    output.result(&text, minute4d::plain_json(&planned)?);
+    Ok(())
+}
+
 /// The failure of a download, with the command that installs a file got by hand.
 fn or_by_hand(entry: &Entry, error: WeightsError) -> Failure {
-    let accepted =
-        !matches!(&error, WeightsError::Refused(refusal) if refusal.category == Category::Usage);
+    let helps = matches!(
+        &error,
+        WeightsError::Refused(refusal)
+            if matches!(refusal.category, Category::NoInput | Category::TryAgain)
+    );
     let mut failure = Failure::from(minute4d::Error::from(error));
-    if accepted {
+    if helps {
         failure.reason += &format!(
             "; `minute4d weights add {} FILE` installs a file",
             entry.name
@@ -106,8 +216,6 @@ fn find_entry(name: &str) -> Result<&'static Entry, Failure> {
 struct Row {
     #[serde(flatten)]
     entry: &'static Entry,
-    /// `fetch` or `add`.
-    got_by: &'static str,
     /// The command that installs it.
     command: String,
     origin: String,
@@ -118,29 +226,20 @@ struct Row {
 fn list(store: &Store, output: &Output) -> Result<(), Failure> {
     let row = |entry: &'static Entry| Row {
         entry,
-        got_by: match entry.origin {
-            Origin::Pip(_) => "fetch",
-            _ => "add",
-        },
         command: crate::failure::command(entry),
         origin: entry.origin.description(),
         path: store.installed(entry),
     };
     let rows: Vec<Row> = weights::all().iter().map(row).collect();
     let mut text = format!(
-        "{:<24} {:>7}  {:<4} {:<6} {:<38} used for\n",
-        "name", "MB", "here", "got by", "licence"
+        "{:<24} {:>7}  {:<4} {:<38} used for\n",
+        "name", "MB", "here", "licence"
     );
-    for Row {
-        entry,
-        got_by,
-        path,
-        ..
-    } in &rows
-    {
-        let size = entry
-            .bytes
-            .map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
+    for Row { entry, path, .. } in &rows {
+        let size = match entry.bytes {
+            Some(bytes) => format!("{:.1}", bytes as f64 / 1e6),
+            None => format!("~{}", entry.megabytes),
+        };
         let here = if path.is_some() { "yes" } else { "no" };
         let only = if entry.commercial {
             ""
@@ -149,7 +248,7 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
         };
         let licence = format!("{only}{}", entry.licence);
         text += &format!(
-            "{:<24} {size:>7}  {here:<4} {got_by:<6} {licence:<38} {}\n",
+            "{:<24} {size:>7}  {here:<4} {licence:<38} {}\n",
             entry.name, entry.used_for
         );
     }
@@ -166,6 +265,9 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
         }
         text += "\n";
     }
+    for (set, names) in weights::SETS {
+        text += &format!("set {set}: {}\n", names.join(", "));
+    }
     text += &format!("folder: {}\n", store.root().display());
     output.result(&text, minute4d::plain_json(&rows)?);
     Ok(())
@@ -176,16 +278,16 @@ fn report_installed(store: &Store, records: &[Record], output: &Output) -> Resul
     let mut text = String::new();
     for record in records {
         let path = store.root().join(&record.name).join(&record.file);
-        let checked = if record.published {
-            "checksum as published"
-        } else {
-            "no published checksum"
+        let checked = match record.published {
+            true => "as published",
+            false => "which nobody published: trusted, recorded and compared from now on",
         };
         text += &format!(
-            "{}: {} ({} bytes, {checked}), licence: {}\n",
+            "{}: {} ({} bytes, SHA-256 {} {checked}), licence: {}\n",
             record.name,
             path.display(),
             record.bytes,
+            record.sha256,
             record.licence
         );
     }

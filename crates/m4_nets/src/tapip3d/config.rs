@@ -1,16 +1,16 @@
-//! What the tensors of a checkpoint cannot tell. It stands in the metadata of a converted one.
+//! What the tensors of a checkpoint cannot tell.
 //!
-//! The published file is a pickle of PyTorch with an OmegaConf object beside the weights, which
-//! only Python can read; `tools/models/convert_tapip3d.py` writes the weights as safetensors and
-//! the configuration as JSON into the metadata entry `config`: the `model` section as it is, and
-//! `image_size` (rows, columns) from the section `train_dataset`. What it leaves out has the
-//! default of upstream's constructors.
+//! The published file is a pickle of PyTorch with an OmegaConf object `cfg` beside the weights: the
+//! configuration is its section `model`, with `image_size` (rows, columns) from the section
+//! `train_dataset`. In a safetensors file it is a JSON object in the metadata entry `config`. What
+//! it leaves out has the default of upstream's constructors.
 
 use super::encoding::width;
+use super::pickle::Pickle;
 use crate::load::Shapes;
 use serde_json::Value;
 use std::fs::File;
-use std::io::Read;
+use std::io::{BufReader, Read};
 use std::path::Path;
 
 /// What a checkpoint says of itself.
@@ -33,14 +33,13 @@ pub struct Config {
 const MOST: u64 = 4096;
 
 impl Config {
-    /// That of the converted checkpoint at `path`.
+    /// That of the checkpoint at `path`: the published one, or safetensors.
     pub fn of_checkpoint(path: &Path) -> Result<Self, String> {
-        let said = metadata(path).ok_or(
-            "it has no configuration: the published file is to be converted once by `python3 tools/models/convert_tapip3d.py`, \
-             which needs PyTorch, NumPy and safetensors",
-        )?;
-        let said: Value = serde_json::from_str(&said)
-            .map_err(|error| format!("its configuration is no JSON: {error}"))?;
+        let said = match metadata(path) {
+            Some(said) => serde_json::from_str(&said)
+                .map_err(|error| format!("its configuration is no JSON: {error}"))?,
+            None => published(path)?,
+        };
         Self::read(&said).map_err(|reason| format!("of its configuration, {reason}"))
     }
 
@@ -123,6 +122,71 @@ fn count(said: &Value, path: &str, otherwise: Option<usize>) -> Result<usize, St
     count
         .map(|n| n as usize)
         .ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
+}
+
+/// Most bytes of the pickle of a checkpoint, without its tensors.
+const MOST_PICKLED: u64 = 1 << 26;
+/// Most references in a row.
+const MOST_REFERENCES: usize = 10;
+
+/// The configuration in the published checkpoint, a zip archive with a pickle.
+fn published(path: &Path) -> Result<Value, String> {
+    let failed = |error: zip::result::ZipError| {
+        format!(
+            "it is neither the published checkpoint nor safetensors with a configuration: {error}"
+        )
+    };
+    let file = File::open(path).map_err(|error| error.to_string())?;
+    let mut archive = zip::ZipArchive::new(BufReader::new(file)).map_err(failed)?;
+    let name = archive
+        .file_names()
+        .filter_map(|name| Some(name.ok()?.into_owned()))
+        .find(|name| name == "data.pkl" || name.ends_with("/data.pkl"))
+        .ok_or("it is an archive without data.pkl, and no checkpoint of PyTorch")?;
+    let mut bytes = Vec::new();
+    let entry = archive.by_name(&name).map_err(failed)?;
+    let read = entry.take(MOST_PICKLED + 1).read_to_end(&mut bytes);
+    let n = read.map_err(|error| format!("its data.pkl cannot be read: {error}"))?;
+    if n as u64 > MOST_PICKLED {
+        return Err("its data.pkl is too large".to_owned());
+    }
+    let root = Pickle::read(&bytes)
+        .and_then(|pickle| pickle.entry("cfg"))
+        .map_err(|reason| format!("of its pickle, {reason}"))?;
+    let model = at(&root, "model").filter(|model| model.is_object());
+    let model = model.ok_or("its `cfg` has no section `model`")?;
+    let mut config = resolved(model, &root)?;
+    if at(&config, "image_size").is_none() {
+        let size = at(&root, "train_dataset.resolution");
+        let size = size.ok_or("its `cfg` does not say train_dataset.resolution")?;
+        config["image_size"] = resolved(size, &root)?;
+    }
+    Ok(config)
+}
+
+/// `value` with references such as `${train_dataset.resolution}` replaced by what they name in
+/// `root`.
+fn resolved(value: &Value, root: &Value) -> Result<Value, String> {
+    let mut value = value;
+    for _ in 0..=MOST_REFERENCES {
+        match value {
+            Value::String(text) if text.contains("${") => {
+                let path = text
+                    .strip_prefix("${")
+                    .and_then(|rest| rest.strip_suffix('}'));
+                let target = path.and_then(|path| at(root, path));
+                value = target
+                    .ok_or_else(|| format!("its `cfg` refers to {text}, which is not there"))?;
+            }
+            Value::Object(entries) => {
+                let entry =
+                    |(key, value): (&String, &Value)| Ok((key.clone(), resolved(value, root)?));
+                return entries.iter().map(entry).collect();
+            }
+            other => return Ok(other.clone()),
+        }
+    }
+    Err("its `cfg` refers to itself".to_owned())
 }
 
 /// The entry `config` of the metadata of a safetensors file; `None` for anything else.

@@ -34,6 +34,7 @@ mod frame;
 mod layers;
 mod neighbours;
 mod pass;
+mod pickle;
 mod source;
 #[cfg(test)]
 mod tests;
@@ -57,7 +58,9 @@ use updater::{Correlation, Updater};
 const NAME: &str = "TAPIP3D";
 
 /// Names of the checkpoint that are not those of fields.
-const RENAMES: [(&str, &str); 7] = [
+const RENAMES: [(&str, &str); 8] = [
+    // of the published file, with weights beside other things, in a wrapper or not
+    (r"^weight\.(module\.)?", ""),
     (r"^encoder\.backbone\.", "encoder."),
     (r"\.downsample\.0\.", ".downsample.conv."),
     (r"\.posenc_mlps\.(\d+)\.0\.", ".posenc_mlps.${1}.norm_in."),
@@ -96,12 +99,12 @@ impl Net {
 }
 
 impl Tapip3d {
-    /// The network with the weights of the checkpoint at `path`, on `device`: one that
-    /// `tools/models/convert_tapip3d.py` made of the published one.
+    /// The network with the weights of the checkpoint at `path`, on `device`: the published one, or
+    /// safetensors with the configuration as JSON in the metadata entry `config`.
     ///
     /// # Errors
     ///
-    /// [`LoadError`] if the file cannot be read, was not converted, or holds another network.
+    /// [`LoadError`] if the file cannot be read, has no configuration, or holds another network.
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
         let device = &on.device;

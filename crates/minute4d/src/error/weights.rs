@@ -21,8 +21,8 @@ pub enum WeightsError {
         /// What is unavailable without them.
         without: &'static str,
     },
-    /// A request that cannot be met: an unknown name, weights that have to be fetched by hand, a
-    /// licence that was not accepted, a `pip` that is missing or fails, a stop.
+    /// A request that cannot be met: an unknown name, a licence that was not accepted, a host that
+    /// refuses or is not reached, a full disk, a stop.
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// A file or an archive that is damaged, or not the one that was published.

@@ -4,20 +4,23 @@
 use super::Context;
 use super::GeometrySummary;
 use super::clip::{Clip, FrameGeometry};
-use super::confidence::{Confidence, Grade};
+use super::confidence::{Circumstances, Confidence, Grade};
 use super::depth::{rescale, set_unit, unit};
 use super::frontend::MonoClip;
 use super::given::Given;
 use super::iterate;
 use super::lens;
 use crate::Error;
-use m4_core::{Camera, Capture, RgbImage, Tracks};
+use crate::cache::Steps;
+use m4_core::advice::DEPTH_WEIGHTS;
+use m4_core::{Camera, Capture, Progress, RgbImage, Tracks};
 use m4_geometry::FrameRate;
 use m4_geometry::classical::CameraMotion;
 use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, estimate};
 use m4_geometry::classical::sparse::{
     self, FeatureTracks, RadialDistortion, Recovered, SparseConfig,
 };
+use std::sync::{Mutex, PoisonError};
 
 /// Reconstructs `clip`.
 pub(super) fn compute(
@@ -57,12 +60,49 @@ fn attempt(
     context: &Context<'_>,
 ) -> Result<Result<(Pass, GeometrySummary), RadialDistortion>, Error> {
     let mut reconstruction = Reconstruction::new(clip, context)?;
-    let (followed, recovered) = reconstruction.cameras()?;
+    let (followed, recovered) = reconstruction.first_cameras()?;
     if let Some(lens) = recovered.distortion {
         return Ok(Err(lens));
     }
     reconstruction.config.pinhole = true;
     reconstruction.run(&followed, recovered).map(Ok)
+}
+
+/// Passes progress on, and warnings when it is released.
+struct HeldWarnings<'a> {
+    observer: &'a dyn Progress,
+    warnings: Mutex<Vec<String>>,
+}
+
+impl<'a> HeldWarnings<'a> {
+    fn new(observer: &'a dyn Progress) -> Self {
+        Self {
+            observer,
+            warnings: Mutex::default(),
+        }
+    }
+
+    fn release(self) {
+        let warnings = self.warnings.into_inner();
+        for warning in warnings.unwrap_or_else(PoisonError::into_inner) {
+            self.observer.warn(&warning);
+        }
+    }
+}
+
+impl Progress for HeldWarnings<'_> {
+    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.observer.update(phase, done, total, note);
+    }
+
+    fn warn(&self, message: &str) {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        warnings.push(message.to_owned());
+    }
+
+    fn cancelled(&self) -> bool {
+        self.observer.cancelled()
+    }
 }
 
 /// A clip with the sources of flow, masks and depth.
@@ -120,6 +160,23 @@ impl<'a> Reconstruction<'a> {
         })
     }
 
+    /// Tracks and cameras, with the advice that comes before all warnings.
+    fn first_cameras(&self) -> Result<(FeatureTracks, Recovered), Error> {
+        let held = HeldWarnings::new(self.context.observer());
+        let outcome = self.cameras(self.context.steps.observed_by(&held));
+        let is_flat = |(_, recovered): &(FeatureTracks, Recovered)| {
+            recovered.sparse.camera_motion != CameraMotion::Parallax
+        };
+        let lacks_depth = self.context.methods.frontend.lacks_depth && self.given.depth.is_none();
+        if lacks_depth && outcome.as_ref().is_ok_and(is_flat) {
+            // before everything else that is wrong with such a clip
+            let warning = format!("this clip has no parallax to measure depth by: {DEPTH_WEIGHTS}");
+            self.context.observer().warn(&warning);
+        }
+        held.release();
+        outcome
+    }
+
     fn run(
         &self,
         followed: &FeatureTracks,
@@ -143,9 +200,9 @@ impl<'a> Reconstruction<'a> {
     }
 
     /// Tracks and cameras.
-    fn cameras(&self) -> Result<(FeatureTracks, Recovered), Error> {
+    fn cameras(&self, steps: Steps<'_>) -> Result<(FeatureTracks, Recovered), Error> {
         let (images, config, masks) = (&self.images, &self.config, self.given.masks.as_deref());
-        let result = self.context.steps.keep("cameras", |observer| {
+        let result = steps.keep("cameras", |observer| {
             let followed = sparse::track_features(images, config, observer)?;
             let recovered = match &self.given.cameras {
                 Some(cameras) => followed.with_cameras(cameras, masks, config, observer)?,
@@ -217,13 +274,18 @@ impl<'a> Reconstruction<'a> {
                     .count() as f64
                     / pixels as f64
             });
-        let masked = self.given.masks.is_some();
+        let around = Circumstances {
+            camera_motion: sparse.camera_motion,
+            masks_given: self.given.masks.is_some(),
+            depth_given: known_depth.is_some(),
+            depth_predicted: self.mono.is_some(),
+        };
         let confidence = Confidence::of(
             sparse,
             pass.recovered.focal,
             &dense.frames,
-            masked,
             known_depth,
+            around,
         );
         if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
             let warning = format!("geometry is {}: {advice}", confidence.grade.name());

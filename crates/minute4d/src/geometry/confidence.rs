@@ -81,6 +81,8 @@ pub(super) struct Circumstances {
     pub camera_motion: CameraMotion,
     pub masks_given: bool,
     pub depth_given: bool,
+    /// By a network, from each frame alone.
+    pub depth_predicted: bool,
 }
 
 impl Confidence {
@@ -89,8 +91,8 @@ impl Confidence {
         sparse: &SparseReconstruction,
         focal: FocalSource,
         dense: &[DenseFrame],
-        masks_given: bool,
         known_depth: Option<f64>,
+        around: Circumstances,
     ) -> Self {
         let pixels = dense
             .iter()
@@ -135,11 +137,6 @@ impl Confidence {
             residual_px: sparse.residual_px,
             measured_share: known_depth.map_or(measured, |share| share.max(measured)),
         };
-        let around = Circumstances {
-            camera_motion: sparse.camera_motion,
-            masks_given,
-            depth_given: known_depth.is_some(),
-        };
         (confidence.grade, confidence.advice) = confidence.judge(around);
         confidence
     }
@@ -162,6 +159,10 @@ impl Confidence {
             "dynamic objects fill the frame: {MASKS}, or film with more of the surroundings"
         );
         let motion = match around.camera_motion {
+            CameraMotion::Static | CameraMotion::RotationOnly if around.depth_predicted => (
+                Grade::Fair,
+                format!("without parallax depth is a network's guess: film while walking sideways, or {DEPTH}"),
+            ),
             CameraMotion::Static => (
                 Grade::Poor,
                 format!("the camera is static, so depth is a placeholder: film while walking sideways, or {DEPTH}"),
@@ -297,6 +298,7 @@ mod tests {
         camera_motion: CameraMotion::Parallax,
         masks_given: false,
         depth_given: false,
+        depth_predicted: false,
     };
 
     #[test]
@@ -341,6 +343,11 @@ mod tests {
             Grade::Poor,
             "is static",
         );
+        let predicted = Circumstances {
+            depth_predicted: true,
+            ..tripod
+        };
+        weak(&|_| {}, predicted, Grade::Fair, "a network's guess");
         let with_depth = Circumstances {
             depth_given: true,
             ..tripod

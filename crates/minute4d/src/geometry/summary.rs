@@ -2,6 +2,8 @@
 
 use super::Confidence;
 use crate::networks::UsedNetwork;
+use crate::settings::{FrontendPart, GeometryOptions, Segmenter};
+use m4_core::advice::{DEPTH_WEIGHTS, MASK_WEIGHTS};
 use m4_geometry::classical::sparse::RadialDistortion;
 use serde::{Deserialize, Serialize};
 
@@ -60,7 +62,94 @@ pub struct GeometrySummary {
     pub confidence: Option<Confidence>,
 }
 
+/// Shares of pixels with measured depth below which a network's would help.
+const LITTLE_DEPTH: f64 = 0.35;
+
+impl GeometrySummary {
+    /// Returns the advice to get the weights that would help this clip most, of those that `asked`
+    /// would have used: depth, where little of it was measured, else masks of dynamic objects.
+    /// `None` where neither is lacking, and in builds without networks.
+    pub fn helpful_weights(&self, asked: &GeometryOptions) -> Option<&'static str> {
+        if !cfg!(feature = "nets") {
+            return None;
+        }
+        let little = |confidence: &Confidence| confidence.measured_share < LITTLE_DEPTH;
+        let lacks_depth = asked.frontend.is_auto()
+            && self.frontend == FrontendPart::Classical.name()
+            && !self.given.iter().any(|given| given == "depth")
+            && (self.camera_motion != "parallax" || self.confidence.as_ref().is_some_and(little));
+        let lacks_masks = asked.segmenter == Segmenter::Auto
+            && self.segmenter == Segmenter::None.name()
+            && self.keyframes.is_none()
+            && self.moving_share > 0.0
+            && !self.given.iter().any(|given| given == "masks");
+        match (lacks_depth, lacks_masks) {
+            (true, _) => Some(DEPTH_WEIGHTS),
+            (false, true) => Some(MASK_WEIGHTS),
+            (false, false) => None,
+        }
+    }
+}
+
 /// Defaults for records of earlier releases.
 fn once() -> usize {
     1
+}
+
+#[cfg(all(test, feature = "nets"))]
+mod tests {
+    use super::{Confidence, DEPTH_WEIGHTS, GeometryOptions, GeometrySummary, MASK_WEIGHTS};
+    use crate::geometry::{Focal, Grade};
+
+    #[test]
+    fn what_lacks_most_is_advised() {
+        let confidence = Confidence {
+            grade: Grade::Good,
+            advice: None,
+            parallax_deg: 5.0,
+            parallax_px: 50.0,
+            inlier_share: 0.9,
+            static_share: 0.9,
+            focal: Focal::Given,
+            focal_sigma_percent: None,
+            residual_px: 0.2,
+            measured_share: 0.8,
+        };
+        let summary = GeometrySummary {
+            camera_motion: "parallax".to_owned(),
+            frontend: "classical".to_owned(),
+            segmenter: "none".to_owned(),
+            moving_share: 0.1,
+            confidence: Some(confidence.clone()),
+            ..GeometrySummary::default()
+        };
+        let asked = GeometryOptions::default();
+        assert_eq!(summary.helpful_weights(&asked), Some(MASK_WEIGHTS));
+        let change = |change: &dyn Fn(&mut GeometrySummary)| {
+            let mut summary = summary.clone();
+            change(&mut summary);
+            summary.helpful_weights(&asked)
+        };
+        assert_eq!(change(&|s| s.moving_share = 0.0), None);
+        assert_eq!(change(&|s| s.segmenter = "mobilesam".to_owned()), None);
+        assert_eq!(change(&|s| s.given = vec!["masks".to_owned()]), None);
+        let tripod = |s: &mut GeometrySummary| s.camera_motion = "static".to_owned();
+        assert_eq!(change(&tripod), Some(DEPTH_WEIGHTS));
+        let blind = |s: &mut GeometrySummary| {
+            s.confidence.as_mut().unwrap().measured_share = 0.1;
+        };
+        assert_eq!(change(&blind), Some(DEPTH_WEIGHTS));
+        let predicted = |s: &mut GeometrySummary| {
+            tripod(s);
+            s.frontend = "classical+moge".to_owned();
+        };
+        assert_eq!(change(&predicted), Some(MASK_WEIGHTS));
+        // what the user did not want is not advised
+        let by_hand = GeometryOptions {
+            frontend: "classical".parse().unwrap(),
+            segmenter: crate::settings::Segmenter::None,
+            ..GeometryOptions::default()
+        };
+        assert_eq!(summary.helpful_weights(&by_hand), None);
+    }
 }

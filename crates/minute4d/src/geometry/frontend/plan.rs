@@ -21,6 +21,8 @@ pub struct Plan {
     pub used: Vec<UsedNetwork>,
     /// What the user should know about the choice.
     pub notes: Vec<String>,
+    /// Whether it would take depth from a network whose weights are not installed.
+    pub lacks_depth: bool,
     #[cfg(feature = "nets")]
     pub(super) files: Vec<(FrontendPart, PathBuf)>,
 }
@@ -85,25 +87,16 @@ const DEPTHS: [&[FrontendPart]; 5] = [
 ];
 
 /// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement
-/// (docs/geometry-log.md, "Front ends"); on a GPU that was asked for it is `megasam` where the
-/// weights of all of its parts are here. Fails if weights are missing, or if a requested GPU does
-/// not start.
+/// (docs/geometry-log.md, "Front ends"), with depth of `moge` where its weights are here; on a GPU
+/// that was asked for it is `megasam` where the weights of all of its parts are here. Fails if
+/// weights are missing, or if a requested GPU does not start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let here =
         |part: FrontendPart| part == FrontendPart::Classical || installed(names(part)).is_some();
     let mut notes = Vec::new();
     let parts = if asked.is_auto() {
-        let best = [FrontendPart::Megasam, FrontendPart::Raft];
-        let depth = DEPTHS
-            .iter()
-            .find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
-        match depth {
-            Some(depth) if best.iter().all(|&p| here(p)) && device.is_gpu()? => {
-                [&best, *depth].concat()
-            }
-            _ => vec![FrontendPart::Classical],
-        }
+        automatic(&here, || device.is_gpu())?
     } else {
         complete(asked, &here, &mut notes)
     };
@@ -123,11 +116,30 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
             network.weights, network.licence
         ));
     }
+    let lacks_depth = asked.is_auto() && frontend.parts() == [FrontendPart::Classical];
     Ok(Plan {
         frontend,
         used,
         notes,
+        lacks_depth,
         files,
+    })
+}
+
+/// The parts of `auto`.
+#[cfg(feature = "nets")]
+fn automatic(
+    here: &dyn Fn(FrontendPart) -> bool,
+    on_gpu: impl FnOnce() -> Result<bool, Error>,
+) -> Result<Vec<FrontendPart>, Error> {
+    let best = [FrontendPart::Megasam, FrontendPart::Raft];
+    let depth = DEPTHS
+        .iter()
+        .find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
+    Ok(match depth {
+        Some(depth) if best.iter().all(|&p| here(p)) && on_gpu()? => [&best, *depth].concat(),
+        _ if here(FrontendPart::Moge) => vec![FrontendPart::Classical, FrontendPart::Moge],
+        _ => vec![FrontendPart::Classical],
     })
 }
 
@@ -146,6 +158,7 @@ pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
             frontend: Frontend::classical(),
             used: Vec::new(),
             notes: Vec::new(),
+            lacks_depth: false,
         }),
     }
 }
@@ -197,7 +210,7 @@ fn complete(
 #[cfg(test)]
 #[cfg(feature = "nets")]
 mod tests {
-    use super::{complete, names};
+    use super::{automatic, complete, names};
     use crate::settings::{Frontend, FrontendPart};
     use crate::weights;
 
@@ -217,6 +230,23 @@ mod tests {
                 names(part).iter().all(|name| weights::find(name).is_ok()),
                 "{part:?}"
             );
+        }
+    }
+
+    #[test]
+    fn auto_takes_what_is_installed() {
+        use FrontendPart::{Classical, Megasam, Moge, Raft, Unidepth};
+        for (here, on_gpu, expected) in [
+            (&[][..], true, &[Classical][..]),
+            (&[Moge], false, &[Classical, Moge]),
+            (&[Moge, Raft, Megasam], false, &[Classical, Moge]),
+            (&[Moge, Raft, Megasam], true, &[Megasam, Raft, Moge]),
+            (&[Moge, Megasam], true, &[Classical, Moge]),
+            // without the user's choice nothing that may not be used commercially
+            (&[Unidepth], false, &[Classical]),
+        ] {
+            let parts = automatic(&|part| here.contains(&part), || Ok(on_gpu)).unwrap();
+            assert_eq!(parts, expected, "{here:?} {on_gpu}");
         }
     }
 
