@@ -3,7 +3,7 @@
 use m4_core::advice;
 
 /// The option for each phrase.
-const OPTIONS: [(&str, &str); 16] = [
+const OPTIONS: [(&str, &str); 17] = [
     (advice::FIELD_OF_VIEW, "--fov"),
     (advice::STATIC_CAMERA, "--static-camera"),
     (advice::MASKS, "--masks"),
@@ -20,6 +20,7 @@ const OPTIONS: [(&str, &str); 16] = [
     (advice::NO_SEGMENTER, "--segmenter none"),
     (advice::FLOW_TRACKER, "--tracker flow"),
     (advice::LICENCE, "--accept-license"),
+    (advice::SHOT, "--shot"),
 ];
 
 /// The message with the option behind each advice.

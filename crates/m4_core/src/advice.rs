@@ -34,8 +34,11 @@ pub const FLOW_TRACKER: &str = "use the tracker flow";
 /// A licence forbids commercial use.
 pub const LICENCE: &str = "accept the licence";
 
+/// A clip has several shots.
+pub const SHOT: &str = "choose another shot";
+
 /// Every phrase.
-pub const ALL: [&str; 16] = [
+pub const ALL: [&str; 17] = [
     FIELD_OF_VIEW,
     STATIC_CAMERA,
     MASKS,
@@ -52,4 +55,5 @@ pub const ALL: [&str; 16] = [
     NO_SEGMENTER,
     FLOW_TRACKER,
     LICENCE,
+    SHOT,
 ];

@@ -144,9 +144,8 @@ pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2]) -> bool {
 }
 
 /// Follows the patch around `p` of the pyramid `from` into `to` (levels, finest first), coarse to
-/// fine; the position and the
-/// correlation at the finest level. `None` when the patch shows nothing at some level or leaves the
-/// image.
+/// fine; the position and the correlation at the finest level. `None` when the patch shows nothing
+/// at some level or leaves the image.
 pub(crate) fn follow(
     from: &[Plane<f32>],
     to: &[Plane<f32>],
