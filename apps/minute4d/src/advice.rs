@@ -3,7 +3,7 @@
 use m4_core::advice;
 
 /// The option or the command for each phrase.
-const OPTIONS: [(&str, &str); 18] = [
+const OPTIONS: [(&str, &str); 19] = [
     (advice::FIELD_OF_VIEW, "--fov"),
     (advice::STATIC_CAMERA, "--static-camera"),
     (advice::MASKS, "--masks"),
@@ -25,6 +25,7 @@ const OPTIONS: [(&str, &str); 18] = [
         "minute4d weights fetch moge-2-s-normal",
     ),
     (advice::MASK_WEIGHTS, "minute4d weights fetch mobile-sam"),
+    (advice::SHOT, "--shot"),
 ];
 
 /// The message with the option or the command behind each advice.

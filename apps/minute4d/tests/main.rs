@@ -9,6 +9,7 @@ mod enhance;
 mod examples;
 mod faults;
 mod features;
+mod footage;
 mod gallery;
 mod geometry;
 #[cfg(unix)]

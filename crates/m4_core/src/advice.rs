@@ -37,9 +37,11 @@ pub const LICENCE: &str = "accept the licence";
 pub const DEPTH_WEIGHTS: &str = "get the weights of MoGe-2 S (0.14 GB, MIT) for its depth";
 /// A network would give better masks.
 pub const MASK_WEIGHTS: &str = "get the weights of MobileSAM (0.04 GB, Apache-2.0) for its masks";
+/// A clip has several shots.
+pub const SHOT: &str = "choose another shot";
 
 /// Every phrase.
-pub const ALL: [&str; 18] = [
+pub const ALL: [&str; 19] = [
     FIELD_OF_VIEW,
     STATIC_CAMERA,
     MASKS,
@@ -58,4 +60,5 @@ pub const ALL: [&str; 18] = [
     LICENCE,
     DEPTH_WEIGHTS,
     MASK_WEIGHTS,
+    SHOT,
 ];

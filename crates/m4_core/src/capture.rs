@@ -58,6 +58,8 @@ pub struct VideoFrame {
 pub struct Video {
     /// At least one, in order of time, all of one size.
     pub frames: Vec<VideoFrame>,
+    /// Frames of the part of the clip that was asked for, kept or not.
+    pub in_range: usize,
     /// Notes of the reader for the user: damaged frames, tone mapping, sub-sampling.
     pub warnings: Vec<String>,
     /// Focal length in pixels of these frames, where the file states it.

@@ -7,6 +7,7 @@
 //! dba/           dense bundle adjustment, which both use
 //! masks/         segmentation and tracking of dynamic objects, for masks of any source
 //! tracks/        tracks of dynamic points through a clip whose cameras and depth are known, visible or occluded
+//! inspect/       shots, repeated frames, bars, overlays and exposure of a clip
 //! frame_rate     seconds in frames
 //! resample       images and maps in other sizes
 //! smooth         smoothing along the edges of an image
@@ -20,6 +21,7 @@ pub mod classical;
 pub mod dba;
 pub mod flow;
 mod frame_rate;
+pub mod inspect;
 pub mod masks;
 pub mod megasam;
 #[cfg(test)]

@@ -380,6 +380,49 @@ fn high_dynamic_range_is_tone_mapped_with_a_warning() {
     }
 }
 
+/// As phones film: upright, in 4K, at a variable rate near 60 frames per second, in HEVC of 10 bits
+/// and HLG.
+#[test]
+fn portrait_4k_hdr_of_variable_rate_is_read_upright() {
+    if !have_encoder("libx265") {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let (lying, upright) = (dir.path().join("lying.mov"), dir.path().join("upright.mov"));
+    // Frames 2 and 3 were not taken.
+    let arguments = format!(
+        "-i {} -frames:v 5 -vf setpts=N/60/TB,select=not(eq(n\\,2)+eq(n\\,3)),scale=3840:2160:out_color_matrix=bt2020:\
+         out_range=tv,setsar=1,format=yuv420p10le -fps_mode passthrough -enc_time_base 1/600 -c:v libx265 -preset ultrafast -tag:v \
+         hvc1 -x265-params log-level=error:crf=12 -color_primaries bt2020 -color_trc arib-std-b67 -colorspace bt2020nc \
+         -color_range tv",
+        pinwheel().display()
+    );
+    assert!(ffmpeg(&arguments, &lying));
+    with_matrix(&lying, [0, 1, -1, 0], &upright);
+    let options = VideoOptions::default();
+    let one = VideoOptions {
+        max_frames: Some(1),
+        ..options.clone()
+    };
+    let (plain, video) = (clip(&lying, &one), clip(&upright, &options));
+    let ticks = [0.0, 1.0, 4.0, 5.0, 6.0];
+    assert_eq!(video.frames.len(), ticks.len());
+    for (time_s, tick) in times(&video).iter().zip(ticks) {
+        assert!((time_s - tick / 60.0).abs() < 2e-3, "{time_s} {tick}");
+    }
+    assert!(
+        video.warnings.iter().any(|w| w.contains("HLG")),
+        "{:?}",
+        video.warnings
+    );
+    assert_eq!(video.frames[0].rgb.size(), (360, 640));
+    let alike = psnr(
+        &video.frames[0].rgb,
+        &mapped(&plain.frames[0].rgb, [0, 1, -1, 0]),
+    );
+    assert!(alike > 36.0, "{alike} dB");
+}
+
 #[test]
 fn pixels_that_are_not_square_become_square() {
     if !have_encoder("libx264") || !have_encoder("ffv1") {

@@ -128,6 +128,10 @@ pub struct VideoArgs {
     /// End time in the clip, seconds
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub end: Option<f64>,
+    /// Use this shot of a clip with cuts, in order of time from 1; a warning lists the shots
+    /// [default: the longest]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub shot: Option<u32>,
     /// Horizontal field of view of the camera in degrees, if known
     #[arg(long, value_name = "DEG", value_parser = degrees)]
     pub fov: Option<f64>,
@@ -394,6 +398,7 @@ fn apply_video(settings: &mut Settings, args: &VideoArgs) {
     settings.sparse.fov_deg = args.fov.or(settings.sparse.fov_deg);
     settings.sparse.static_camera |= args.static_camera;
     let geometry = &mut settings.geometry;
+    geometry.shot = args.shot.map(|n| n as usize).or(geometry.shot);
     if let Some(frontend) = &args.frontend {
         geometry.frontend.clone_from(frontend);
     }

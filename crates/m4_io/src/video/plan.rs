@@ -82,10 +82,31 @@ pub fn select(times_s: &[f64], options: &VideoOptions) -> Result<Vec<usize>, Fau
             options,
         ));
     }
-    Ok(evenly(inside.len(), options.max_frames)
+    let inside_s: Vec<f64> = inside.iter().map(|&i| times_s[i]).collect();
+    Ok(among(&inside_s, options)
         .into_iter()
         .map(|i| inside[i])
         .collect())
+}
+
+/// Indices of the frames to keep among those in the range, which are shown at `inside_s`.
+pub fn among(inside_s: &[f64], options: &VideoOptions) -> Vec<usize> {
+    let Some(times_s) = &options.times_s else {
+        return evenly(inside_s.len(), options.max_frames);
+    };
+    let nearest = |time_s: &f64| {
+        let after = inside_s.partition_point(|t| t < time_s);
+        let near = [after.checked_sub(1), Some(after)].into_iter().flatten();
+        near.filter(|&i| i < inside_s.len()).min_by(|&a, &b| {
+            (inside_s[a] - time_s)
+                .abs()
+                .total_cmp(&(inside_s[b] - time_s).abs())
+        })
+    };
+    let mut chosen: Vec<usize> = times_s.iter().filter_map(nearest).collect();
+    chosen.sort_unstable();
+    chosen.dedup();
+    chosen
 }
 
 /// The error of a range that holds no frame.
@@ -175,19 +196,21 @@ impl Collector {
     }
 
     /// The clip, in order of time; `None` without frames.
-    pub fn finish(mut self, focal_px: Option<f64>) -> Option<Video> {
+    pub fn finish(mut self, in_range: usize, focal_px: Option<f64>) -> Option<Video> {
         self.frames.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         (!self.frames.is_empty()).then_some(Video {
             frames: self.frames,
+            in_range,
             warnings: self.warnings,
             focal_px,
         })
     }
 }
 
-/// The warning of a clip that was thinned.
-pub fn thinned(n_kept: usize, of: usize) -> Option<String> {
-    (n_kept < of).then(|| format!("read {n_kept} of {of} frames, evenly spaced"))
+/// The warning of a clip that was thinned; none where the caller chose the frames.
+pub fn thinned(n_kept: usize, of: usize, options: &VideoOptions) -> Option<String> {
+    (n_kept < of && options.times_s.is_none())
+        .then(|| format!("read {n_kept} of {of} frames, evenly spaced"))
 }
 
 /// The warning of a clip of which `n` of `of` frames are damaged and were left out; its fault with
@@ -211,6 +234,10 @@ pub fn damaged(n: usize, of: usize, first: &str, options: &VideoOptions) -> Resu
 pub struct VideoOptions {
     /// Keep at most this many frames, evenly spaced from the first to the last. Default: all.
     pub max_frames: Option<usize>,
+    /// Keep the frames that are shown nearest to these times, seconds from the first frame, in
+    /// place of evenly spaced ones. For callers in Rust.
+    #[serde(skip)]
+    pub times_s: Option<Vec<f64>>,
     /// Shrink frames so that their longest side has this many pixels; smaller frames stay as they
     /// are. Default 640, between the 480 of the paper's DyCheck runs and the width of 360p video.
     /// `None` keeps the size of the file.
@@ -237,6 +264,7 @@ impl Default for VideoOptions {
     fn default() -> Self {
         Self {
             max_frames: None,
+            times_s: None,
             size: Some(640),
             start_s: None,
             end_s: None,
@@ -251,7 +279,23 @@ impl Default for VideoOptions {
 
 #[cfg(test)]
 mod tests {
-    use super::evenly;
+    use super::{VideoOptions, among, evenly};
+
+    #[test]
+    fn frames_at_given_times_are_the_nearest() {
+        let shown = [0.0, 0.1, 0.2, 0.5, 0.9];
+        let at = |times: &[f64]| {
+            let options = VideoOptions {
+                times_s: Some(times.to_vec()),
+                ..VideoOptions::default()
+            };
+            among(&shown, &options)
+        };
+        assert_eq!(at(&[0.1, 0.5]), [1, 3]);
+        assert_eq!(at(&[-1.0, 0.1004, 0.36, 7.0]), [0, 1, 3, 4]);
+        assert_eq!(at(&[0.9, 0.1, 0.1]), [1, 4]);
+        assert!(at(&[]).is_empty());
+    }
 
     #[test]
     fn kept_frames_span_the_clip_evenly() {

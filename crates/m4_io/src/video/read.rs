@@ -249,8 +249,8 @@ fn folder(
         .count();
     collector
         .warnings
-        .extend(plan::thinned(indices.len(), inside));
-    collector.finish(focal_px).ok_or_else(no_images)
+        .extend(plan::thinned(indices.len(), inside, options));
+    collector.finish(inside, focal_px).ok_or_else(no_images)
 }
 
 /// Whether the file is at fault, not the machine.

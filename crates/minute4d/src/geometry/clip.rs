@@ -6,9 +6,10 @@
 //! kept one.
 
 use super::Context;
+use super::footage::{self, Chosen, Footage};
 use super::frontend::Plan;
 use super::given::Given;
-use crate::{Error, Settings};
+use crate::{Error, Refusal, Settings};
 use m4_core::{
     Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, RgbImage, Tracks,
     Video,
@@ -26,6 +27,8 @@ pub(super) struct Clip {
     pub sparse: SparseConfig,
     /// The focal length in pixels of the frames that settings or the file state.
     pub focal_px: Option<f64>,
+    /// What was done about cuts, bars and the like.
+    pub footage: Option<Footage>,
 }
 
 /// What geometry finds of a frame.
@@ -37,8 +40,11 @@ pub(super) struct FrameGeometry {
 }
 
 impl Clip {
-    /// Reads the clip and the files that the user provides; fails where one is missing, damaged, or
-    /// does not fit the clip.
+    /// Reads the clip and the files that the user provides, and leaves out what is not worth using;
+    /// fails where a file is missing, damaged, or does not fit the clip.
+    ///
+    /// Poses, masks and depth belong to the frames as they are read: with them all frames stay, as
+    /// they are.
     pub fn read(input: &Path, between: Between, context: &Context<'_>) -> Result<Self, Error> {
         let (settings, observer) = (context.settings, context.observer());
         let video = m4_io::video::read(input, &between.to_read(&settings.video), observer)?;
@@ -49,12 +55,26 @@ impl Clip {
         if sparse.fov_deg.is_none() && sparse.focal_px.is_none() {
             sparse.focal_px = video.focal_px;
         }
-        let width = video.frames.first().map_or(0, |f| f.rgb.width());
+        let mut given = Given::read(&settings.geometry, input, &video, settings.video.folder_fps)?;
+        let Chosen {
+            video,
+            area,
+            footage,
+        } = if settings.geometry.per_frame_given() {
+            if settings.geometry.shot.is_some() {
+                return Err(Refusal::usage(SHOT_WITH_FRAMES).into());
+            }
+            Chosen::all(video)
+        } else {
+            footage::choose(input, video, between, settings, observer)?
+        };
+        let width = area.width;
         let from_fov = |fov: f64| 0.5 * width as f64 / (0.5 * fov.to_radians()).tan();
         let focal_px = sparse.focal_px.or(sparse.fov_deg.map(from_fov));
-        let given = Given::read(&settings.geometry, input, &video, settings.video.folder_fps)?;
-        if let Some(lens) = given.lens {
-            let k = lens.intrinsics;
+        if let Some(lens) = &mut given.lens {
+            let k = &mut lens.intrinsics;
+            (k.cx, k.cy) = (k.cx - area.x as f64, k.cy - area.y as f64);
+            (k.width, k.height) = (area.width, area.height);
             sparse.intrinsics = Some([k.fx, k.fy, k.cx, k.cy]);
         }
         let lens = given.lens;
@@ -63,6 +83,7 @@ impl Clip {
             given,
             sparse,
             focal_px,
+            footage,
         };
         if let Some(lens) = &lens {
             clip.straighten(lens)?;
@@ -135,6 +156,10 @@ fn moments(video: &Video) -> (Vec<f64>, Option<f64>) {
     let moments = times_s.iter().enumerate().map(moment).collect();
     (moments, (duration_s > 0.0).then_some(duration_s))
 }
+
+/// Why a shot cannot be chosen.
+const SHOT_WITH_FRAMES: &str = "a shot cannot be chosen where poses, masks or depth are given for every frame; give a clip of \
+                                the shot alone, with their files for its frames";
 
 /// Steps of geometry per step from one kept frame to the next, at most.
 const MOST_PER_STEP: usize = 4;

@@ -111,6 +111,7 @@ mod tests {
         let mut clip = Clip {
             video: Video {
                 frames: vec![frame],
+                in_range: 1,
                 warnings: Vec::new(),
                 focal_px: None,
             },
@@ -123,6 +124,7 @@ mod tests {
                 ..SparseConfig::default()
             },
             focal_px: Some(focal_px),
+            footage: None,
         };
         let lens = clip.lens(&distortion);
         clip.straighten(&lens).unwrap();

@@ -3,6 +3,7 @@
 //! ```text
 //! Plan      methods (frontend, segmenter, enhance) by the weights that are installed
 //! compute   video and what the user provides (given) -> clip -> reconstruction -> enhance -> capture
+//! footage       frames -> those of one shot, without blank and repeated ones, bars, overlays, flicker
 //! classical     frames --sparse--> cameras, tracks, points --dense--> depth, masks --> capture
 //!                            ^                                          |    '-> confidence
 //!                            '---- once more without masked tracks -----'   (iterate)
@@ -17,6 +18,7 @@ mod classical;
 mod clip;
 mod confidence;
 mod depth;
+mod footage;
 mod frontend;
 mod given;
 mod iterate;
@@ -26,6 +28,7 @@ mod megasam;
 mod summary;
 
 pub use confidence::{Confidence, Focal, Grade};
+pub use footage::Footage;
 pub use summary::GeometrySummary;
 
 use crate::cache::Steps;
@@ -212,7 +215,8 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
         steps,
     };
     let between = Between::of(settings, &methods.frontend);
-    let clip = Clip::read(input, between, &context)?;
+    let mut clip = Clip::read(input, between, &context)?;
+    let footage = clip.footage.take();
     let (capture, mut summary) = match methods.frontend.is_megasam() {
         #[cfg(feature = "nets")]
         true => megasam::compute(clip, &context)?,
@@ -220,6 +224,7 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
     };
     let capture = between.keep(capture, observer)?;
     summary.frames = capture.frames.len();
+    summary.footage = footage;
     let plan = &methods.enhance;
     let (capture, objects) = enhance::apply(capture, plan, settings, &methods.device, steps)?;
     summary.networks.extend(plan.used.iter().cloned());

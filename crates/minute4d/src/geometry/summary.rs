@@ -1,6 +1,6 @@
 //! What the geometry stage measured, for its record and the log.
 
-use super::Confidence;
+use super::{Confidence, Footage};
 use crate::networks::UsedNetwork;
 use crate::settings::{FrontendPart, GeometryOptions, Segmenter};
 use m4_core::advice::{DEPTH_WEIGHTS, MASK_WEIGHTS};
@@ -54,6 +54,10 @@ pub struct GeometrySummary {
     /// The geometry that the user provided: `intrinsics`, `poses`, `masks`, `depth`.
     #[serde(default)]
     pub given: Vec<String>,
+    /// Cuts, repeated frames, bars and the like, and what was done about them; `None` for one
+    /// continuous take.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub footage: Option<Footage>,
     /// How often depth and masks were computed: twice if the masks changed the cameras.
     #[serde(default = "once")]
     pub rounds: usize,

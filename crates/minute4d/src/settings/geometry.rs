@@ -16,6 +16,8 @@ pub struct GeometryOptions {
     pub segmenter: Segmenter,
     /// Tracking method.
     pub tracker: Tracker,
+    /// The shot of a clip with cuts, in order of time from 1; the longest where it is not set.
+    pub shot: Option<usize>,
     /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner),
     /// or a JSON file with `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` and, where the lens has
     /// distortion, the coefficients and `camera_model` of nerfstudio.
@@ -46,10 +48,12 @@ impl GeometryOptions {
 
     /// True when the user gave anything that replaces what would be computed.
     pub fn any_given(&self) -> bool {
-        self.intrinsics.is_some()
-            || self.poses.is_some()
-            || self.masks.is_some()
-            || self.depth.is_some()
+        self.intrinsics.is_some() || self.per_frame_given()
+    }
+
+    /// True when the user gave something for each frame.
+    pub fn per_frame_given(&self) -> bool {
+        self.poses.is_some() || self.masks.is_some() || self.depth.is_some()
     }
 }
 

@@ -19,7 +19,7 @@ const MOST_COUNT: f64 = 1e6;
 const MOST_SPLATS: f64 = 1e8;
 
 /// Every numeric setting; `docs/settings.md` shows the ranges.
-pub(super) const RANGES: [Range; 53] = [
+pub(super) const RANGES: [Range; 54] = [
     ("video.max_frames", 1.0, MOST_COUNT),
     ("video.size", 16.0, 16_384.0),
     ("video.start_s", 0.0, MOST_S),
@@ -30,6 +30,7 @@ pub(super) const RANGES: [Range; 53] = [
     ("video.decoder.cpu_seconds", 0.0, MOST_S),
     ("video.decoder.idle_seconds", 1.0, MOST_S),
     ("capture.max_memory_bytes", 0.0, MOST_BYTES),
+    ("geometry.shot", 1.0, MOST_COUNT),
     ("sparse.fov_deg", 1.0, 175.0),
     ("sparse.focal_px", 1.0, 1e6),
     ("dense.working_side_px", 64.0, 2048.0),

@@ -1,7 +1,7 @@
 //! One patch followed from one image to another (Lucas and Kanade 1981; inverse compositional form
 //! of Baker and Matthews 2004; pyramid of Bouguet 2001).
 
-use super::luma::{Pyramid, sample_square};
+use super::luma::sample_square;
 use m4_core::Plane;
 
 /// Reach of the patch that is followed, working pixels: 5 for a side of 11.
@@ -143,17 +143,21 @@ pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2]) -> bool {
         && p[1] <= plane.height() as f32 - 1.0 - r
 }
 
-/// Follows the patch around `p` of `from` into `to`, coarse to fine; the position and the
-/// correlation at the finest level. `None` when the patch shows nothing at some level or leaves the
-/// image.
-pub(crate) fn follow(from: &Pyramid, to: &Pyramid, p: [f32; 2]) -> Option<([f32; 2], f32)> {
-    let levels = from.levels.len().min(to.levels.len());
+/// Follows the patch around `p` of the pyramid `from` into `to` (levels, finest first), coarse to
+/// fine; the position and the correlation at the finest level. `None` when the patch shows nothing
+/// at some level or leaves the image.
+pub(crate) fn follow(
+    from: &[Plane<f32>],
+    to: &[Plane<f32>],
+    p: [f32; 2],
+) -> Option<([f32; 2], f32)> {
+    let levels = from.len().min(to.len());
     let mut offset = [0.0_f32; 2];
     let mut correlation = 0.0;
     for level in (0..levels).rev() {
         let unit = 1.0 / (1_u32 << level) as f32;
         let at = [p[0] * unit, p[1] * unit];
-        let template = match Template::new(&from.levels[level], at) {
+        let template = match Template::new(&from[level], at) {
             Some(template) => template,
             // A coarse level may be flat; the finest must not be.
             None if level > 0 => {
@@ -162,7 +166,7 @@ pub(crate) fn follow(from: &Pyramid, to: &Pyramid, p: [f32; 2]) -> Option<([f32;
             }
             None => return None,
         };
-        let (place, c) = template.align(&to.levels[level], [at[0] + offset[0], at[1] + offset[1]]);
+        let (place, c) = template.align(&to[level], [at[0] + offset[0], at[1] + offset[1]]);
         correlation = c;
         offset = [place[0] - at[0], place[1] - at[1]];
         if level > 0 {
@@ -170,18 +174,18 @@ pub(crate) fn follow(from: &Pyramid, to: &Pyramid, p: [f32; 2]) -> Option<([f32;
         }
     }
     let place = [p[0] + offset[0], p[1] + offset[1]];
-    (place[0].is_finite() && place[1].is_finite() && inside(&to.levels[0], place))
+    (place[0].is_finite() && place[1].is_finite() && inside(&to[0], place))
         .then_some((place, correlation))
 }
 
 #[cfg(test)]
 mod tests {
     use super::{Template, follow};
-    use crate::classical::sparse::luma::Pyramid;
+    use crate::classical::sparse::luma::halvings;
     use m4_core::Plane;
 
     /// A smooth image, seen through `x -> (x - t) / s`, scaled and offset in brightness.
-    fn pattern(shift: [f32; 2], stretch: f32, gain: f32) -> Pyramid {
+    fn pattern(shift: [f32; 2], stretch: f32, gain: f32) -> Vec<Plane<f32>> {
         let value = |x: f32, y: f32| {
             let wave = |a: f32, b: f32, c: f32| (a * x + b * y + c).sin();
             128.0
@@ -193,7 +197,7 @@ mod tests {
             let (u, v) = ((x as f32 - 80.0) / stretch, (y as f32 - 60.0) / stretch);
             gain * value(u + 80.0 - shift[0], v + 60.0 - shift[1]) + 3.0
         };
-        Pyramid::new(Plane::from_fn(160, 120, look))
+        halvings(Plane::from_fn(160, 120, look))
     }
 
     #[test]
@@ -232,7 +236,7 @@ mod tests {
         assert!(Template::new(&Plane::filled(64, 64, 9.0), [32.0, 32.0]).is_none());
         // Where the image went flat there is nothing that looks alike.
         let a = pattern([0.0, 0.0], 1.0, 1.0);
-        let flat = Pyramid::new(Plane::filled(160, 120, 128.0));
+        let flat = halvings(Plane::filled(160, 120, 128.0));
         assert!(follow(&a, &flat, [80.0, 60.0]).is_none_or(|(_, c)| c < 0.5));
     }
 }

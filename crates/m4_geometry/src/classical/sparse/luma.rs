@@ -107,19 +107,26 @@ pub(crate) struct Pyramid {
 }
 
 impl Pyramid {
-    /// At most [`LEVELS`]; stops before a side falls under 16 pixels.
+    /// As [`halvings`].
     pub fn new(base: Plane<f32>) -> Self {
         let fine = doubled(&base);
-        let mut all = vec![base];
-        while all.len() < LEVELS {
-            let top = &all[all.len() - 1];
-            if top.width().min(top.height()) < 32 {
-                break;
-            }
-            all.push(halved(top));
-        }
-        Self { levels: all, fine }
+        let levels = halvings(base);
+        Self { levels, fine }
     }
+}
+
+/// Levels of halving size, finest first: at most [`LEVELS`]; stops before a side falls under 16
+/// pixels.
+pub(crate) fn halvings(base: Plane<f32>) -> Vec<Plane<f32>> {
+    let mut all = vec![base];
+    while all.len() < LEVELS {
+        let top = &all[all.len() - 1];
+        if top.width().min(top.height()) < 32 {
+            break;
+        }
+        all.push(halved(top));
+    }
+    all
 }
 
 /// Twice the resolution by cubic convolution (Keys 1981): pixel `x` becomes pixel `2 x`, so sizes

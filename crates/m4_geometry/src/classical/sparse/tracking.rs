@@ -139,7 +139,7 @@ struct Step {
 /// The step of `t` to frame `to`; `None` where the point is lost.
 fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<Step> {
     let p = *t.seen.last()?;
-    let (q, correlation) = follow(from, to, p)?;
+    let (q, correlation) = follow(&from.levels, &to.levels, p)?;
     if correlation < MIN_CORRELATION {
         return None;
     }
@@ -159,7 +159,7 @@ fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<Step> {
             anchor: None,
         });
     }
-    let (back, _) = follow(to, from, q)?;
+    let (back, _) = follow(&to.levels, &from.levels, q)?;
     let returns = (back[0] - p[0]).hypot(back[1] - p[1]) <= MAX_ROUND_TRIP_PX;
     let anchor = Some(Anchor::new(&to.fine, q)?);
     (returns && inside(plane, q)).then_some(Step {
@@ -258,7 +258,7 @@ fn response(luma: &Plane<f32>) -> Plane<f32> {
 
 /// New corners in the cells that hold none of `occupied` (pixel coordinates), at least
 /// [`MIN_DISTANCE_PX`] away from all of them, with their patches inside; in order of cells.
-fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
+pub(crate) fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]]) -> Vec<[f32; 2]> {
     const MARGIN: usize = RADIUS + 1;
     let (w, h) = luma.size();
     let response = response(luma);

@@ -84,19 +84,19 @@ impl<'a> Decoder<'a> {
             decoder: launcher,
             progress,
         } = request;
-        let in_range = match &description.times_s {
+        let inside_s: Vec<f64> = match &description.times_s {
             Some(times) => {
-                let inside = times
-                    .iter()
-                    .filter(|&&t| plan::in_range(t, options))
-                    .count();
-                if inside == 0 {
+                let inside = times.iter().filter(|&&t| plan::in_range(t, options));
+                let inside: Vec<f64> = inside.copied().collect();
+                if inside.is_empty() {
                     let last = times.last().copied().unwrap_or(0.0);
                     return Err(plan::nothing_in_range(last, options));
                 }
                 inside
             }
-            None => description.packets,
+            None => (0..description.packets)
+                .map(|i| i as f64 / options.folder_fps)
+                .collect(),
         };
         let threads = std::thread::available_parallelism()
             .map_or(1, |n| n.get().min(MAX_THREADS))
@@ -158,8 +158,8 @@ impl<'a> Decoder<'a> {
             frames,
             complaints,
             tone_map: description.hdr.map(ToneMap::new),
-            in_range,
-            keep: plan::evenly(in_range, options.max_frames),
+            in_range: inside_s.len(),
+            keep: plan::among(&inside_s, options),
         })
     }
 
@@ -311,8 +311,10 @@ impl<'a> Decoder<'a> {
         }
         collector
             .warnings
-            .extend(plan::thinned(self.keep.len(), self.in_range));
-        collector.finish(None).ok_or_else(|| no_frames(&message))
+            .extend(plan::thinned(self.keep.len(), self.in_range, self.options));
+        collector
+            .finish(self.in_range, None)
+            .ok_or_else(|| no_frames(&message))
     }
 }
 

@@ -123,9 +123,9 @@ pub fn read(request: Request<'_>, file: &mut File, track: &Track) -> Result<Vide
     }
     collector
         .warnings
-        .extend(plan::thinned(indices.len(), inside));
+        .extend(plan::thinned(indices.len(), inside, options));
     collector
-        .finish(None)
+        .finish(inside, None)
         .ok_or_else(|| no_frames("none was kept").into())
 }
 
