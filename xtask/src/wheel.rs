@@ -52,9 +52,9 @@ pub fn make(root: &Path) -> Result<PathBuf> {
     Ok(wheel)
 }
 
-/// Builds the program as it is shipped, with `full` and the profile `dist`, and the wheel around it,
-/// for this machine (`target`). On Linux they run with glibc 2.17 or newer, whatever this machine
-/// has.
+/// Builds the program as it is shipped, with `full` and the profile `dist`, and the wheel around
+/// it, for this machine (`target`). On Linux they run with glibc 2.17 or newer, whatever this
+/// machine has.
 ///
 /// # Errors
 ///

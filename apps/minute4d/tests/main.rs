@@ -18,6 +18,7 @@ mod networks;
 mod outputs;
 mod pipeline;
 mod protocols;
+mod python;
 mod render;
 mod view;
 

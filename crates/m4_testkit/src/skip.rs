@@ -24,7 +24,7 @@ pub enum Need {
     HalfPrecision,
     /// npm, and the packages that it fetches.
     Npm,
-    /// Python with pip.
+    /// Python with pip and venv, and the packages that it fetches.
     Pip,
     /// The benchmark scenes and clips beside the repository.
     Shared,
@@ -57,7 +57,7 @@ impl Need {
             ),
             Self::Pip => (
                 "pip",
-                "install Python with pip (apt-get install python3-pip)",
+                "install Python with pip and venv (apt-get install python3-pip python3-venv)",
             ),
             Self::Shared => (
                 "shared",
