@@ -5,12 +5,16 @@
 //! `cargo xtask test` the tests; CI runs the program and nothing else.
 #![forbid(unsafe_code)]
 
+pub mod archive;
 pub mod arrows;
+pub mod command;
+pub mod licences;
 pub mod modules;
 pub mod page;
 pub mod paper;
 pub mod tests;
 pub mod text;
+pub mod wheel;
 
 use std::path::{Path, PathBuf};
 

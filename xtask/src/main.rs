@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | text | lock | deny | page | settings [--check]>
+const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | text | lock | deny | page | settings [--check] | wheel | archive>
 
   test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
           them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
@@ -17,7 +17,9 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions, and advisories where their database can be fetched
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
-  settings  write the ranges and defaults in docs/settings.md from the code; --check: fail where it is not up to date";
+  settings  write the ranges and defaults in docs/settings.md from the code; --check: fail where it is not up to date
+  wheel   build the Python package with the program as it is shipped, and test it in a fresh environment (needs Python with venv)
+  archive build the same program, and pack it with licences, man pages and completions";
 
 /// The features that are linted and documented beside the default ones.
 const FULL: [&str; 2] = [
@@ -44,6 +46,8 @@ fn main() -> ExitCode {
         }),
         ["settings"] => step("settings", || settings(&root, true)),
         ["settings", "--check"] => step("settings", || settings(&root, false)),
+        ["wheel"] => step("wheel", || show(xtask::wheel::make(&root))),
+        ["archive"] => step("archive", || show(xtask::archive::make(&root))),
         _ => {
             eprintln!("{USAGE}");
             return ExitCode::from(2);
@@ -134,6 +138,12 @@ fn settings(root: &Path, write: bool) -> Result<()> {
 fn arrows(root: &Path) -> Result<()> {
     xtask::arrows::check(root)?;
     xtask::modules::check(root)
+}
+
+/// Prints the path of what was built.
+fn show(built: Result<std::path::PathBuf>) -> Result<()> {
+    eprintln!("    {}", built?.display());
+    Ok(())
 }
 
 fn step(name: &str, run: impl FnOnce() -> Result<()>) -> Result<()> {

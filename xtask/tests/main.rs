@@ -3,6 +3,7 @@
 //! is made of the lines that skipped tests leave; whether the page that is kept is the one that its
 //! sources build to.
 
+mod archive;
 mod modules;
 
 use m4_testkit::{Need, find_chromium, skip};

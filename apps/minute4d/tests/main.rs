@@ -20,6 +20,7 @@ mod networks;
 mod outputs;
 mod pipeline;
 mod protocols;
+mod python;
 mod render;
 mod view;
 

@@ -24,6 +24,8 @@ pub enum Need {
     HalfPrecision,
     /// npm, and the packages that it fetches.
     Npm,
+    /// Python with pip and venv, and the packages that it fetches.
+    Pip,
     /// The benchmark scenes and clips beside the repository.
     Shared,
     /// Published weights of a network.
@@ -52,6 +54,10 @@ impl Need {
             Self::Npm => (
                 "npm",
                 "install Node.js with npm, and let it reach its registry",
+            ),
+            Self::Pip => (
+                "pip",
+                "install Python with pip and venv (apt-get install python3-pip python3-venv)",
             ),
             Self::Shared => (
                 "shared",
