@@ -145,7 +145,7 @@ mod tests {
             (r#"{"fl_x": 1000, "k4": 0.1}"#, "k4 = 0.1"),
             (r#"{"fl_x": 1000, "w": -3}"#, "w = -3"),
             (r#"{"fl_x": 1000, "w": 480, "h": 640}"#, "aspect ratio"),
-            (r#"{"cx": 3}"#, "fl_x is missing"),
+            (r#"{"cx": 3}"#, "fl_x, the focal length"),
             ("[]", "JSON"),
         ] {
             write(text);
