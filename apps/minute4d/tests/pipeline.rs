@@ -433,6 +433,14 @@ fn doctor_reports_the_machine() {
             .unwrap(),
     );
     assert_eq!(without.result()["ffmpeg"]["found"], false);
+    let notes = machine["notes"].to_string();
+    if cfg!(feature = "nets") {
+        // No weights are installed where tests look for them.
+        assert!(notes.contains("weights fetch recommended"), "{notes}");
+        assert_eq!(machine["weights"][0]["installed"], false, "{machine}");
+    } else {
+        assert!(notes.contains("networks"), "{notes}");
+    }
 }
 
 #[test]

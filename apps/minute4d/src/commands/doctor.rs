@@ -21,6 +21,8 @@ struct Machine {
     memory: Option<Memory>,
     ffmpeg: Ffmpeg,
     gpus: Vec<GpuAdapter>,
+    /// The recommended weights of networks; none in a build without networks.
+    weights: Vec<Weights>,
     notes: Vec<String>,
 }
 
@@ -36,6 +38,14 @@ struct GpuAdapter {
     max_units: u32,
     /// Why `--device auto` does not choose it.
     not_chosen: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Weights {
+    name: &'static str,
+    megabytes: u32,
+    used_for: &'static str,
+    installed: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -81,6 +91,7 @@ fn examine() -> Result<Machine, Failure> {
         }),
         ffmpeg: ffmpeg(),
         gpus: gpus(),
+        weights: weights(),
         notes: Vec::new(),
     };
     machine.notes = notes(&machine);
@@ -154,17 +165,63 @@ fn gpus() -> Vec<GpuAdapter> {
     Vec::new()
 }
 
+/// The recommended weights.
+#[cfg(feature = "nets")]
+fn weights() -> Vec<Weights> {
+    let (Ok(store), Ok(entries)) = (
+        minute4d::weights::Store::of_user(),
+        minute4d::weights::select("recommended"),
+    ) else {
+        return Vec::new();
+    };
+    let state = |entry: &minute4d::weights::Entry| Weights {
+        name: entry.name,
+        megabytes: entry.megabytes,
+        used_for: entry.used_for,
+        installed: store.installed(entry).is_some(),
+    };
+    entries.into_iter().map(state).collect()
+}
+
+#[cfg(not(feature = "nets"))]
+fn weights() -> Vec<Weights> {
+    Vec::new()
+}
+
 fn notes(machine: &Machine) -> Vec<String> {
     let mut notes = Vec::new();
-    if !cfg!(feature = "gpu") {
+    let parts = [
+        (cfg!(feature = "gpu"), "GPU support"),
+        (cfg!(feature = "nets"), "networks"),
+    ];
+    let missing: Vec<&str> = parts
+        .iter()
+        .filter(|(built, _)| !built)
+        .map(|(_, part)| *part)
+        .collect();
+    if !missing.is_empty() {
         notes.push(format!(
-            "this program was built without GPU support; `{}` builds it with it",
+            "this program was built without {}; `{}` builds it with both",
+            missing.join(" and "),
             crate::BUILD_FULL
         ));
-    } else if machine.gpus.is_empty() {
+    }
+    if cfg!(feature = "gpu") && machine.gpus.is_empty() {
         notes.push(
             "no GPU was found through Vulkan, Metal, DX12 or OpenGL; if there is one, its driver is missing".to_owned(),
         );
+    }
+    let absent: Vec<String> = machine
+        .weights
+        .iter()
+        .filter(|weights| !weights.installed)
+        .map(|w| format!("{} ({} MB) for {}", w.name, w.megabytes, w.used_for))
+        .collect();
+    if !absent.is_empty() {
+        notes.push(format!(
+            "`minute4d weights fetch recommended` gets {}",
+            absent.join(", and ")
+        ));
     }
     #[cfg(feature = "cuda")]
     notes.extend(m4_kernels::gpu::missing_for_cuda());
@@ -256,6 +313,14 @@ fn describe(machine: &Machine) -> String {
         ("ffmpeg", ffmpeg),
     ];
     rows.extend(machine.gpus.iter().map(|gpu| ("gpu", describe_gpu(gpu))));
+    rows.extend(machine.weights.iter().map(|weights| {
+        let state = if weights.installed {
+            "installed"
+        } else {
+            "not installed"
+        };
+        ("weights", format!("{}: {state}", weights.name))
+    }));
     rows.extend(machine.notes.iter().map(|note| ("note", note.clone())));
     let lines = rows
         .iter()

@@ -277,6 +277,7 @@ impl<'a> Reconstruction<'a> {
         let around = Circumstances {
             camera_motion: sparse.camera_motion,
             masks_given: self.given.masks.is_some(),
+            tied: pass.recovered.tied,
             depth_given: known_depth.is_some(),
             depth_predicted: self.mono.is_some(),
         };

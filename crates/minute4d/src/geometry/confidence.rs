@@ -80,6 +80,8 @@ const VIEWS: usize = 8;
 pub(super) struct Circumstances {
     pub camera_motion: CameraMotion,
     pub masks_given: bool,
+    /// Two rigid worlds explain the clip about equally well.
+    pub tied: bool,
     pub depth_given: bool,
     /// By a network, from each frame alone.
     pub depth_predicted: bool,
@@ -207,7 +209,19 @@ impl Confidence {
                 "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or {DEPTH}"
             ),
         );
+        let tied = (
+            if around.tied {
+                Grade::Poor
+            } else {
+                Grade::Good
+            },
+            format!(
+                "two parts of the image move against each other, and either may be the static one: {MASKS}, or film with \
+                 more of the surroundings"
+            ),
+        );
         let all = [
+            (true, tied),
             (!around.depth_given, motion),
             (parallax, tracks),
             (true, focal),
@@ -297,6 +311,7 @@ mod tests {
     const MOVING: Circumstances = Circumstances {
         camera_motion: CameraMotion::Parallax,
         masks_given: false,
+        tied: false,
         depth_given: false,
         depth_predicted: false,
     };
@@ -315,6 +330,11 @@ mod tests {
                     "{actual:?} {advice} for {c:?}"
                 );
             };
+        let tied = Circumstances {
+            tied: true,
+            ..MOVING
+        };
+        weak(&|_| (), tied, Grade::Poor, MASKS);
         weak(&|c| c.parallax_deg = 1.0, MOVING, Grade::Fair, "sideways");
         weak(&|c| c.parallax_deg = 0.1, MOVING, Grade::Poor, "sideways");
         weak(&|c| c.inlier_share = 0.1, MOVING, Grade::Poor, "light");

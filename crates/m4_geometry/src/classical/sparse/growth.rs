@@ -5,6 +5,7 @@ use super::bundle::{BundleOptions, BundleReport};
 use super::map::{Map, ROUNDS, classify};
 use super::priors::{FocalSource, Recovered};
 use super::reconstruct::SparseProblem;
+use super::rival::Verdict;
 use super::rotation::{keyframes, matches, turn};
 use super::two_view::{Match, TwoView, relate};
 use super::{INLIER_PX, SparseError, stopped};
@@ -35,7 +36,7 @@ pub(super) const FINE: f64 = 1e-6;
 
 /// Two keyframes, `a` before `b`, with enough in common and enough between them.
 #[derive(Clone, Copy, PartialEq)]
-struct Pair {
+pub(super) struct Pair {
     a: usize,
     b: usize,
     /// Tracks in both.
@@ -45,7 +46,7 @@ struct Pair {
 }
 
 /// A focal length, working pixels, and a pair related under it.
-struct Start {
+pub(super) struct Start {
     focal: f64,
     /// Mean score over the scanned pairs, 0 to 1.
     score: f64,
@@ -82,7 +83,8 @@ impl SparseProblem<'_> {
                  it is, or supply a capture with poses"
             )));
         };
-        let (map, motions, report) = self.refine(map)?;
+        let first = self.refine(map)?;
+        let ((map, motions, report), verdict) = self.static_world(first)?;
         if let Some(bend) = self.bend_beyond(&map)? {
             return self.straightened(bend, focals);
         }
@@ -107,7 +109,7 @@ impl SparseProblem<'_> {
         if !free_focal {
             self.check_given_focal(&map)?;
         }
-        let sigma = self.judge(&map, &motions, &report, free_focal);
+        let sigma = self.judge(&map, (&motions, verdict), &report, free_focal);
         let sparse = self.finish(map, &motions, CameraMotion::Parallax);
         let focal = if free_focal {
             FocalSource::Estimated { sigma: Some(sigma) }
@@ -118,11 +120,12 @@ impl SparseProblem<'_> {
             sparse,
             focal,
             distortion: self.distortion(),
+            tied: verdict == Verdict::Tied,
         })
     }
 
     /// Pairs of keyframes, best first: much parallax, many tracks in common.
-    fn start_pairs(&self, keys: &[usize], focal: f64) -> Vec<Pair> {
+    pub(super) fn start_pairs(&self, keys: &[usize], focal: f64) -> Vec<Pair> {
         let all: Vec<(usize, usize)> = keys
             .iter()
             .enumerate()
@@ -154,7 +157,7 @@ impl SparseProblem<'_> {
 
     /// For every focal length the mean score over the best few pairs, and those pairs as starts;
     /// best score first.
-    fn scan(&self, pairs: &[Pair], focals: &[f64]) -> Result<Vec<Start>, SparseError> {
+    pub(super) fn scan(&self, pairs: &[Pair], focals: &[f64]) -> Result<Vec<Start>, SparseError> {
         // Pairs that overlap in time say the same thing twice.
         let mut picked: Vec<(Pair, Vec<Match>)> = Vec::new();
         for pair in pairs {
@@ -262,7 +265,7 @@ impl SparseProblem<'_> {
     ///
     /// A wrong focal length shows in residuals that are small still, yet larger: what counts as
     /// explained is measured against three times the least median residual among the maps.
-    fn select(
+    pub(super) fn select(
         &self,
         keys: &[usize],
         starts: &[Start],
@@ -340,7 +343,10 @@ impl SparseProblem<'_> {
 
     /// All frames, bundle adjustment and classification in turn; limits get as sharp as the errors
     /// of the map allow.
-    fn refine(&mut self, mut map: Map) -> Result<(Map, Vec<Motion>, BundleReport), SparseError> {
+    pub(super) fn refine(
+        &mut self,
+        mut map: Map,
+    ) -> Result<(Map, Vec<Motion>, BundleReport), SparseError> {
         let free_focal = self.free_focal();
         let mut motions = Vec::new();
         self.register_all(&mut map)?;

@@ -29,6 +29,7 @@ mod outcome;
 mod posed;
 mod priors;
 mod reconstruct;
+mod rival;
 mod rotation;
 #[cfg(test)]
 mod tests;

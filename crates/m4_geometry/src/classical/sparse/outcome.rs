@@ -3,6 +3,7 @@
 use super::bundle::BundleReport;
 use super::map::Map;
 use super::reconstruct::SparseProblem;
+use super::rival::Verdict;
 use super::tracking::RawTrack;
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_core::advice::FIELD_OF_VIEW;
@@ -14,7 +15,7 @@ impl SparseProblem<'_> {
     pub(super) fn judge(
         &mut self,
         map: &Map,
-        motions: &[Motion],
+        (motions, verdict): (&[Motion], Verdict),
         report: &BundleReport,
         free_focal: bool,
     ) -> f64 {
@@ -41,7 +42,7 @@ impl SparseProblem<'_> {
         }
         let [n_static, n_dynamic] =
             [Motion::Static, Motion::Dynamic].map(|m| motions.iter().filter(|x| **x == m).count());
-        if n_dynamic > n_static {
+        if n_dynamic > n_static && verdict == Verdict::Alone {
             self.warn(format!(
                 "more tracks are dynamic ({n_dynamic}) than static ({n_static}): the poses may follow a moving object"
             ));

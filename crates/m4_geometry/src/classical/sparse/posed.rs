@@ -6,6 +6,7 @@ use super::growth::MIN_POINTS;
 use super::map::{Map, ROUNDS, classify, median_far_error};
 use super::priors::{FocalSource, Lenses, Recovered};
 use super::reconstruct::{FeatureTracks, SparseProblem};
+use super::rival::Verdict;
 use super::rotation::sway;
 use super::{INLIER_PX, SparseConfig, SparseError, stopped};
 use crate::classical::{CameraMotion, Motion, SparseReconstruction, check_count};
@@ -96,7 +97,7 @@ impl SparseProblem<'_> {
                 log_focal_sigma: f64::INFINITY,
                 bend_sigma: f64::INFINITY,
             };
-            self.judge(&map, &motions, &report, false);
+            self.judge(&map, (&motions, Verdict::Alone), &report, false);
             if (points as f64) < DOUBTFUL_SHARE * judged as f64 {
                 self.refute(cameras, focal, points, judged)?;
                 self.warn(format!(
@@ -131,6 +132,7 @@ impl SparseProblem<'_> {
             },
             focal: FocalSource::Given,
             distortion: None,
+            tied: false,
         })
     }
 

@@ -31,6 +31,9 @@ pub struct Recovered {
     /// Distortion of the lens that the clip shows; cameras and tracks are those of images without
     /// it. `None` where a pinhole explains the clip as well.
     pub distortion: Option<RadialDistortion>,
+    /// True where two rigid worlds explain the clip about equally well: the cameras may follow a
+    /// moving object.
+    pub tied: bool,
 }
 
 /// Share of its observations within masks from which on a track counts as dynamic.

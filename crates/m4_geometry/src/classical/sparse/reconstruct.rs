@@ -322,6 +322,7 @@ impl<'a> SparseProblem<'a> {
             sparse: self.finish(map, &motions, camera_motion),
             focal,
             distortion: None,
+            tied: false,
         }
     }
 
