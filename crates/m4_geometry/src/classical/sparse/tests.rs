@@ -1,8 +1,6 @@
 //! From synthetic tracks to reconstructions with known answers.
 
-use super::lens::Bend;
 use super::luma::WorkingSize;
-use super::priors::Recovered;
 use super::reconstruct::{FeatureTracks, from_tracks};
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
@@ -12,6 +10,9 @@ use m4_core::{
     Camera, CounterRng, Intrinsics, Plane, Se3, Silent, Sim3, exp_so3, log_so3, nalgebra::Vector3,
 };
 use m4_testkit::StopAtPoll;
+
+mod lens;
+mod rival;
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -124,124 +125,6 @@ fn solved(scene: &Scene) -> (SparseReconstruction, Vec<bool>) {
     let (tracks, is_dynamic) = scene.tracks();
     let reconstruction = solve(tracks, scene.frames, &SparseConfig::default());
     (reconstruction.expect("a reconstruction"), is_dynamic)
-}
-
-/// Tracks of a room and of a rigid body before it with `body` points, which sways; it covers the
-/// rectangle of the image about `centre`, `half` to each side, pixels from the image's centre.
-fn room_behind(body: usize, centre: [f64; 2], half: [f64; 2]) -> Vec<RawTrack> {
-    let scene = Scene {
-        moving: 0.0,
-        ..ROOM
-    };
-    let hidden = |at: &[f64; 2]| (0..2).all(|k| (at[k] - centre[k]).abs() < half[k]);
-    // What the body hides of the room ends there.
-    let mut tracks: Vec<RawTrack> = scene.tracks().0;
-    for track in &mut tracks {
-        let seen = track.seen.iter().take_while(|at| !hidden(at)).count();
-        track.seen.truncate(seen);
-    }
-    let mut rng = CounterRng::new(22, 0, 0);
-    for _ in 0..body {
-        let birth = rng.below(scene.frames + 12).saturating_sub(12);
-        let life = 6 + rng.below(scene.frames);
-        let depth = 2.0 + rng.uniform();
-        let pixel = [0, 1].map(|k| centre[k] + half[k] * (2.0 * rng.uniform() - 1.0));
-        let ray = Vector3::new(pixel[0] / scene.focal, pixel[1] / scene.focal, 1.0);
-        // It keeps its place before the camera, but sways and turns by itself.
-        let body = |frame: usize| {
-            let t = frame as f64;
-            Se3 {
-                rotation: exp_so3(&Vector3::new(0.0, 0.012 * t, 0.1 * (0.2 * t).sin())),
-                translation: Vector3::new(0.2 * (0.15 * t).sin(), 0.1 * (0.3 * t).sin(), 2.5),
-            }
-        };
-        let local = body(birth).inverse().transform(&(ray * depth));
-        let mut track = RawTrack {
-            first: birth,
-            seen: Vec::new(),
-        };
-        for frame in birth..(birth + life).min(scene.frames) {
-            let p = body(frame).transform(&local);
-            let q = [scene.focal * p.x / p.z, scene.focal * p.y / p.z];
-            if p.z < 0.5 || q[0].abs() > WIDTH as f64 / 2.0 || q[1].abs() > HEIGHT as f64 / 2.0 {
-                break;
-            }
-            track
-                .seen
-                .push(q.map(|v| v + scene.noise_px * rng.normal()));
-        }
-        tracks.push(track);
-    }
-    tracks.retain(|track| track.seen.len() >= 2);
-    tracks
-}
-
-#[test]
-fn a_body_that_fills_the_image_is_not_taken_for_the_room() {
-    for body in [300, 600, 900] {
-        let half = [0.3 * WIDTH as f64, 0.3 * HEIGHT as f64];
-        let features = features(room_behind(body, [0.0; 2], half), ROOM.frames);
-        let config = SparseConfig::default();
-        let recovered = from_tracks(features, None, &config, &Silent).expect("a reconstruction");
-        let (error, turn) = errors(&recovered.sparse, &ROOM);
-        assert!(error < 0.002 && turn < 0.002, "{body}: {error} {turn}");
-        assert!(!recovered.tied);
-    }
-}
-
-#[test]
-fn two_halves_that_move_against_each_other_tie() {
-    let quarter = 0.25 * WIDTH as f64;
-    let tracks = room_behind(250, [quarter, 0.0], [quarter, HEIGHT as f64]);
-    let features = features(tracks, ROOM.frames);
-    let config = SparseConfig::default();
-    let recovered = from_tracks(features, None, &config, &Silent).expect("a reconstruction");
-    assert!(recovered.tied);
-    let warnings = recovered.sparse.warnings.join("; ");
-    assert!(
-        warnings.contains("either may be the static one"),
-        "{warnings}"
-    );
-}
-
-/// Cameras of [`ROOM`] through a lens with that coefficient.
-fn through(coefficient: f64, config: &SparseConfig) -> Recovered {
-    let bend = Bend {
-        coefficient,
-        radius_px: 0.5 * (WIDTH as f64).hypot(HEIGHT as f64),
-    };
-    let (mut tracks, _) = ROOM.tracks();
-    for at in tracks.iter_mut().flat_map(|track| &mut track.seen) {
-        *at = bend.distorted(*at).expect("the lens shows the whole image");
-    }
-    let features = features(tracks, ROOM.frames);
-    from_tracks(features, None, config, &Silent).expect("a reconstruction")
-}
-
-#[test]
-fn a_lens_that_bends_is_told_from_a_pinhole() {
-    let config = SparseConfig::default();
-    assert_eq!(through(0.0, &config).distortion, None);
-    for coefficient in [-0.4, -0.15, 0.12] {
-        let recovered = through(coefficient, &config);
-        let lens = recovered.distortion.expect("the lens bends");
-        assert!(
-            (lens.coefficient - coefficient).abs() < 0.01,
-            "{coefficient}: {lens:?}"
-        );
-        assert!(
-            (lens.focal_px / ROOM.focal - 1.0).abs() < 0.01,
-            "{coefficient}: {lens:?}"
-        );
-        assert!(recovered.sparse.residual_px < 0.3);
-        let (error, _) = errors(&recovered.sparse, &ROOM);
-        assert!(error < 0.002, "{coefficient}: {error}");
-    }
-    let pinhole = SparseConfig {
-        pinhole: true,
-        ..config
-    };
-    assert_eq!(through(-0.15, &pinhole).distortion, None);
 }
 
 #[test]
