@@ -91,7 +91,7 @@ class Events(Iterator[Event]):
     """
 
     def __init__(self, program: Path, arguments: Sequence[str]) -> None:
-        # A file, not a pipe: nobody has to read it while the program writes.
+        # A file, not a pipe: no thread has to read it while the program writes.
         self._messages = tempfile.TemporaryFile()
         self._ended = False
         self._result: Any = None

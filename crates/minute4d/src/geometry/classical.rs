@@ -169,11 +169,17 @@ impl<'a> Reconstruction<'a> {
         };
         let lacks_depth = self.context.methods.frontend.lacks_depth && self.given.depth.is_none();
         if lacks_depth && outcome.as_ref().is_ok_and(is_flat) {
-            // before everything else that is wrong with such a clip
+            // before all other warnings of such a clip
             let warning = format!("this clip has no parallax to measure depth by: {DEPTH_WEIGHTS}");
             self.context.observer().warn(&warning);
         }
-        held.release();
+        // Those of a lens that bends are repeated once the frames are straight.
+        if !outcome
+            .as_ref()
+            .is_ok_and(|(_, recovered)| recovered.distortion.is_some())
+        {
+            held.release();
+        }
         outcome
     }
 

@@ -1,4 +1,4 @@
-//! Requests over HTTPS, in a thread of their own: whoever waits for the answer can stop waiting.
+//! Requests over HTTPS, in a thread of their own: the caller can stop waiting for the answer.
 
 use super::registry::HUGGING_FACE;
 use std::env;
@@ -70,7 +70,7 @@ impl Network {
         let (send, receive) = sync_channel(4);
         let (network, url) = (self.clone(), url.to_owned());
         thread::spawn(move || {
-            // whoever does not listen any more has stopped
+            // A receiver that is gone has stopped.
             let _ = match network.answer(&url, resume.as_ref(), &send) {
                 Ok(()) => send.send(Answer::End),
                 Err(failure) => send.send(Answer::Failed(failure)),

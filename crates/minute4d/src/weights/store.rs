@@ -198,7 +198,7 @@ impl Store {
         };
         let folder = downloads.join(entry.name);
         fs::create_dir_all(&folder).map_err(failed)?;
-        // beside the folder, and never removed: a lock on a removed file is nobody's
+        // beside the folder, and never removed: a lock on a removed file locks nothing
         let lock = File::create(downloads.join(format!("{}.lock", entry.name))).map_err(failed)?;
         loop {
             match lock.try_lock() {

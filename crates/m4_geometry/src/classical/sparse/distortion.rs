@@ -46,7 +46,7 @@ pub(super) struct Straight {
     bend: Bend,
     /// Tracks and those in masks as they were.
     tracks: [Vec<RawTrack>; 2],
-    /// Limits before the first adjustment.
+    /// Limits when the distortion showed.
     limits: Limits,
     rounds: usize,
     /// Focal length of the last map, working pixels.
@@ -86,7 +86,8 @@ impl SparseProblem<'_> {
         Ok(shown.then_some(bend))
     }
 
-    /// Cameras once the distortion `bend`, beyond that of earlier rounds, is taken out.
+    /// Cameras once the distortion `bend`, beyond that of earlier rounds, is taken out; where that
+    /// fails the tracks are as they were.
     pub(super) fn straightened(
         &mut self,
         bend: Bend,
@@ -118,7 +119,13 @@ impl SparseProblem<'_> {
         }
         self.progress
             .update("lens", 0, 1, &format!("distortion {:.4}", bend.coefficient));
-        self.moving(focals, self.default_focal())
+        let recovered = self.moving(focals, self.default_focal());
+        if recovered.is_err()
+            && let Some(straight) = self.straight.take()
+        {
+            [self.tracks, self.masked] = straight.tracks;
+        }
+        recovered
     }
 
     /// What was taken out of the tracks, for the user's images.

@@ -84,9 +84,12 @@ impl SparseProblem<'_> {
             )));
         };
         let first = self.refine(map)?;
-        let ((map, motions, report), verdict) = self.static_world(first)?;
+        let ((map, motions, report), verdict, warning) = self.static_world(first)?;
         if let Some(bend) = self.bend_beyond(&map)? {
             return self.straightened(bend, focals);
+        }
+        if let Some(warning) = warning {
+            self.warn(warning);
         }
         let points = map.points.iter().flatten().count();
         let tracks = motions.iter().filter(|m| **m != Motion::Unknown).count();

@@ -16,16 +16,16 @@ use crate::classical::Motion;
 use m4_core::advice::MASKS;
 use std::collections::BTreeSet;
 
-/// Dynamic tracks are reconstructed if there are at least so many of them for each static one.
+/// Least ratio of dynamic tracks to static ones for the dynamic ones to be reconstructed.
 const MANY: f64 = 0.2;
-/// A rival explains at least so many tracks for each that the other explains.
+/// Least ratio of the tracks that a rival explains to those that the first world explains.
 const COMPARABLE: f64 = 0.2;
 /// How much farther out the static world reaches; below, the two tie.
 const FARTHER: f64 = 1.15;
 /// Cells of the image along its width, for its extent: dense texture counts no more than sparse.
 const CELLS: f64 = 24.0;
 
-/// A refined map, with what moves by it.
+/// A refined map, with the motion of each track by it.
 pub(super) type Refined = (Map, Vec<Motion>, BundleReport);
 
 /// How sure it is which part of the image is static.
@@ -40,46 +40,52 @@ pub(super) enum Verdict {
 }
 
 impl SparseProblem<'_> {
-    /// `first`, or the world that its dynamic tracks agree on if that is the static one.
+    /// `first`, or the world that its dynamic tracks agree on if that is the static one; and a
+    /// warning where there are two.
     pub(super) fn static_world(
         &mut self,
         first: Refined,
-    ) -> Result<(Refined, Verdict), SparseError> {
+    ) -> Result<(Refined, Verdict, Option<String>), SparseError> {
         let n_static = count(&first.1, Motion::Static);
         let reach = self.reach(&first.1, Motion::Static);
         // What moves within the static world cannot be what surrounds it.
         if (count(&first.1, Motion::Dynamic) as f64) < MANY * n_static as f64
             || FARTHER * self.reach(&first.1, Motion::Dynamic) < reach
         {
-            return Ok((first, Verdict::Alone));
+            return Ok((first, Verdict::Alone, None));
         }
-        let Some(second) = self.rival(&first)? else {
-            return Ok((first, Verdict::Alone));
+        let Some((second, limits)) = self.rival(&first)? else {
+            return Ok((first, Verdict::Alone, None));
         };
         let n_rival = count(&second.1, Motion::Static);
         if (n_rival as f64) < COMPARABLE * n_static as f64 {
-            return Ok((first, Verdict::Alone));
+            return Ok((first, Verdict::Alone, None));
         }
         let rival_reach = self.reach(&second.1, Motion::Static);
         if rival_reach > FARTHER * reach {
-            self.warn(format!(
+            self.limits = limits;
+            let warning = format!(
                 "a rigid object fills much of the image ({n_static} tracks); what surrounds it ({n_rival} tracks) is taken for \
                  static; if that is wrong, {MASKS}"
-            ));
-            return Ok((second, Verdict::Decided));
+            );
+            return Ok((second, Verdict::Decided, Some(warning)));
         }
         if reach > FARTHER * rival_reach {
-            return Ok((first, Verdict::Decided));
+            return Ok((first, Verdict::Decided, None));
         }
-        self.warn(format!(
+        let warning = format!(
             "two parts of the image move against each other, and either may be the static one ({n_static} and {n_rival} tracks; \
              the first was taken): {MASKS}"
-        ));
-        Ok((first, Verdict::Tied))
+        );
+        Ok((first, Verdict::Tied, Some(warning)))
     }
 
-    /// The map that the dynamic tracks of `first` agree on, refined with all tracks.
-    fn rival(&mut self, (map, motions, _): &Refined) -> Result<Option<Refined>, SparseError> {
+    /// The map that the dynamic tracks of `first` agree on, refined with all tracks, and the limits
+    /// that became as sharp as its errors allow.
+    fn rival(
+        &mut self,
+        (map, motions, _): &Refined,
+    ) -> Result<Option<(Refined, Limits)>, SparseError> {
         let pairs = self.tracks.iter().zip(motions);
         let dynamic: Vec<RawTrack> = pairs
             .filter(|(_, motion)| **motion == Motion::Dynamic)
@@ -108,8 +114,8 @@ impl SparseProblem<'_> {
         let rival = Map::new(grown.focal, grown.poses, &self.tracks);
         let limits = std::mem::replace(&mut self.limits, alone.limits);
         let refined = self.refine(rival);
-        self.limits = limits;
-        refined.map(Some)
+        let sharp = std::mem::replace(&mut self.limits, limits);
+        refined.map(|refined| Some((refined, sharp)))
     }
 
     /// How far from the centre of the image the tracks of a kind are, root mean square over the

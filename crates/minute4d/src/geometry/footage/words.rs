@@ -1,4 +1,4 @@
-//! What is said about a clip.
+//! Warnings about a clip.
 
 use super::Footage;
 use m4_core::{Progress, advice};
