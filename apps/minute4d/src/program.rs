@@ -74,10 +74,7 @@ fn stopped(failure: Failure, output: &Output) -> Failure {
 /// [`Failure`] where the system does not know it.
 pub fn program() -> Result<PathBuf, Failure> {
     std::env::current_exe().map_err(|e| {
-        minute4d::Error::Internal {
-            what: format!("the path of this program is unknown: {e}"),
-        }
-        .into()
+        minute4d::Error::internal(format!("the path of this program is unknown: {e}")).into()
     })
 }
 

@@ -178,10 +178,7 @@ fn list(
     files: &mut Vec<PathBuf>,
 ) -> Result<(), Error> {
     let full = root.join(folder);
-    let failed = |source| Error::Read {
-        path: full.clone(),
-        source,
-    };
+    let failed = Error::read(&full);
     for entry in fs::read_dir(&full).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         let name = entry.file_name();
@@ -192,10 +189,7 @@ fn list(
         }
         let relative = folder.join(&name);
         // `metadata` follows links, so that a folder of links counts by what it shows.
-        let kind = fs::metadata(entry.path()).map_err(|source| Error::Read {
-            path: entry.path(),
-            source,
-        })?;
+        let kind = fs::metadata(entry.path()).map_err(Error::read(&entry.path()))?;
         if kind.is_dir() {
             if out.is_none_or(|out| entry.path().canonicalize().ok().as_deref() != Some(out)) {
                 list(root, &relative, out, files)?;
@@ -222,20 +216,14 @@ mod tests {
         std::os::unix::fs::symlink(&b, &a).unwrap();
         let said = of_path(dir.path()).unwrap_err().to_string();
         assert!(said.contains("a.png") || said.contains("b.png"), "{said}");
-        let missing = crate::Error::Missing {
-            what: "capture",
-            path: a,
-        };
+        let missing = crate::Error::missing("capture", &a);
         assert!(
             missing
                 .to_string()
                 .ends_with("a.png, which is a link that leads nowhere, or in a circle"),
             "{missing}"
         );
-        let missing = crate::Error::Missing {
-            what: "capture",
-            path: dir.path().join("c"),
-        };
+        let missing = crate::Error::missing("capture", &dir.path().join("c"));
         assert!(missing.to_string().ends_with("/c"), "{missing}");
     }
 

@@ -16,24 +16,14 @@ pub const MAX_RECORD_BYTES: u64 = 64 << 20;
 ///
 /// [`Error::Internal`] if the value cannot be written as JSON.
 pub fn plain_json(value: &impl Serialize) -> Result<Value, Error> {
-    let internal = |e: serde_json::Error| Error::Internal {
-        what: e.to_string(),
-    };
     // Through text: `to_value` would widen 0.1f32 to 0.10000000149011612.
-    serde_json::from_str(&serde_json::to_string(value).map_err(internal)?).map_err(internal)
-}
-
-/// Converts a value to indented JSON, with keys in the order of its fields.
-fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
-    let text = serde_json::to_string_pretty(value).map_err(|e| Error::Internal {
-        what: e.to_string(),
-    })?;
-    Ok(text + "\n")
+    serde_json::from_str(&serde_json::to_string(value).map_err(Error::internal)?)
+        .map_err(Error::internal)
 }
 
 /// Writes `value` as indented JSON, atomically.
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
-    let text = pretty_json(value)?;
+    let text = serde_json::to_string_pretty(value).map_err(Error::internal)? + "\n";
     atomic::write(path, text.as_bytes()).map_err(Error::write(path))
 }
 

@@ -79,10 +79,7 @@ pub fn capture_names() -> impl Iterator<Item = &'static str> + Clone {
 /// Removes a file that may be missing.
 pub fn remove_file(path: &Path) -> Result<(), Error> {
     match fs::remove_file(path) {
-        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write {
-            path: path.to_path_buf(),
-            source,
-        }),
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::write(path)(error)),
         _ => Ok(()),
     }
 }

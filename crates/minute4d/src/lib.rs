@@ -50,10 +50,7 @@ mod error;
 mod time;
 mod video;
 
-pub use error::{
-    Category, DataError, EnhanceError, Error, NetworkError, NetworkMethod, OutputError,
-    ReconstructionError, Refusal,
-};
+pub use error::{Category, Error, NetworkError, NetworkMethod, OutputError, Refusal};
 pub use json::plain_json;
 pub use layout::Existing;
 pub use observer::{Observer, RecordingObserver, StageEvent};

@@ -78,18 +78,12 @@ impl Page {
 
     /// Writes the page, reads it back and compares.
     pub fn write(self, path: &Path) -> Result<(), Error> {
-        let failed = |source| Error::Write {
-            path: path.to_path_buf(),
-            source,
-        };
+        let failed = Error::write(path);
         let mut file = AtomicFile::create(path).map_err(failed)?;
         file.write_all(&self.html).map_err(failed)?;
         drop(self.html);
         file.sync().map_err(failed)?;
-        let text = fs::read_to_string(file.temporary_path()).map_err(|source| Error::Read {
-            path: path.to_path_buf(),
-            source,
-        })?;
+        let text = fs::read_to_string(file.temporary_path()).map_err(Error::read(path))?;
         let back = page::read(&text)?;
         let same = back.manifest == self.manifest
             && back.payload.as_ref() == Some(&self.payload.bytes)

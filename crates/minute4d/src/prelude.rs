@@ -22,14 +22,14 @@ pub trait CaptureExt: Sized {
     ///
     /// # Errors
     ///
-    /// [`Error::Data`] naming the file that is missing or damaged.
+    /// [`Error::ReadData`] naming the file that is missing or damaged.
     fn read(path: impl AsRef<Path>) -> Result<Self, Error>;
 
     /// Writes a capture into a folder, which is made if it is missing.
     ///
     /// # Errors
     ///
-    /// [`Error::Data`].
+    /// [`Error::WriteData`].
     fn write(&self, folder: impl AsRef<Path>) -> Result<(), Error>;
 }
 
@@ -59,14 +59,14 @@ pub trait SceneExt: Sized {
     ///
     /// # Errors
     ///
-    /// [`Error::Data`].
+    /// [`Error::ReadData`].
     fn read(path: impl AsRef<Path>) -> Result<Self, Error>;
 
     /// Writes a scene as `.safetensors`, whole or not at all; an existing file is replaced.
     ///
     /// # Errors
     ///
-    /// [`Error::Data`].
+    /// [`Error::WriteData`].
     fn write(&self, path: impl AsRef<Path>) -> Result<(), Error>;
 
     /// The splats that are visible at a time, frames from 0 to `time_frames - 1`; all of them
@@ -103,7 +103,7 @@ pub trait SceneExt: Sized {
     /// # Errors
     ///
     /// [`Error::Refused`] for an unknown ending, [`Error::Output`] if the file exists,
-    /// [`Error::Data`] if it cannot be written.
+    /// [`Error::WriteData`] if it cannot be written.
     fn export(&self, path: impl AsRef<Path>) -> Result<export::Losses, Error>;
 }
 

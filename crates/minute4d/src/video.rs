@@ -22,14 +22,8 @@ impl Video {
     /// [`Error::Missing`] if there is nothing at `path`.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
         let path = path.as_ref().to_path_buf();
-        if path.exists() {
-            Ok(Self { path })
-        } else {
-            Err(Error::Missing {
-                what: "video or folder of images",
-                path,
-            })
-        }
+        Error::unless_exists("video or folder of images", &path)?;
+        Ok(Self { path })
     }
 
     /// Where it is.

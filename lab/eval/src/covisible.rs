@@ -70,11 +70,8 @@ impl Masks {
             if folder.is_dir() {
                 return Ok(Self::Files(folder.to_path_buf()));
             }
-            return Err(minute4d::Error::Missing {
-                what: "folder of co-visibility masks",
-                path: folder.to_path_buf(),
-            }
-            .into());
+            let what = "folder of co-visibility masks";
+            return Err(minute4d::Error::missing(what, folder).into());
         }
         let root = if data.is_dir() {
             data

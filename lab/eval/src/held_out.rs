@@ -64,11 +64,7 @@ impl HeldOut {
             ..Settings::fast().capture
         };
         if !data.exists() {
-            return Err(minute4d::Error::Missing {
-                what: "capture",
-                path: data.to_path_buf(),
-            }
-            .into());
+            return Err(minute4d::Error::missing("capture", data).into());
         }
         if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
             return Err(no_test_list(data).into());

@@ -78,11 +78,7 @@ pub fn geometry(
     };
     let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
     if !truth.exists() {
-        return Err(minute4d::Error::Missing {
-            what: "known geometry",
-            path: truth.to_path_buf(),
-        }
-        .into());
+        return Err(minute4d::Error::missing("known geometry", truth).into());
     }
     Ok(evaluate(
         &estimate,

@@ -28,11 +28,7 @@ pub fn motion(scene: &Path, reach: Reach, observer: &dyn Observer) -> Result<Mot
     let capture = read_truth(scene, &options, observer)?;
     let path = scene.join(TRACKS_FILE);
     if !path.is_file() {
-        return Err(minute4d::Error::Missing {
-            what: "true tracks",
-            path,
-        }
-        .into());
+        return Err(minute4d::Error::missing("true tracks", &path).into());
     }
     let tracks = m4_io::tracks::read(&path, capture.frames.len(), options.max_memory_bytes)?;
     Ok(motion_errors(

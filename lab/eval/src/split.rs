@@ -143,11 +143,7 @@ pub fn split(
     observer: &dyn Observer,
 ) -> Result<SplitRecord, Error> {
     if !data.exists() {
-        return Err(minute4d::Error::Missing {
-            what: "capture",
-            path: data.to_path_buf(),
-        }
-        .into());
+        return Err(minute4d::Error::missing("capture", data).into());
     }
     let mut settings = Settings::fast();
     settings.capture.reach = reach;

@@ -106,12 +106,7 @@ impl Manifest {
         let mut lines = vec![serde_json::to_string(&header)];
         lines.extend(self.jobs.iter().map(serde_json::to_string));
         let lines: Result<Vec<String>, _> = lines.into_iter().collect();
-        let text = lines
-            .map_err(|e| Error::Internal {
-                what: e.to_string(),
-            })?
-            .join("\n")
-            + "\n";
+        let text = lines.map_err(Error::internal)?.join("\n") + "\n";
         atomic::write(path, text.as_bytes()).map_err(Error::write(path))
     }
 

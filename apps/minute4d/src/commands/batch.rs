@@ -146,13 +146,7 @@ fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
 }
 
 fn absolute(path: &Path) -> Result<PathBuf, Failure> {
-    std::path::absolute(path).map_err(|source| {
-        Error::Read {
-            path: path.to_path_buf(),
-            source,
-        }
-        .into()
-    })
+    Ok(std::path::absolute(path).map_err(Error::read(path))?)
 }
 
 #[derive(Debug, Args)]

@@ -20,10 +20,7 @@ pub struct Manual {
 /// Writes them for the command line `C`.
 pub fn run<C: CommandFactory>(args: &Manual, output: &Output) -> Result<(), Failure> {
     let pages = args.out.join("man1");
-    let failed = |source| Error::Write {
-        path: args.out.clone(),
-        source,
-    };
+    let failed = Error::write(&args.out);
     fs::create_dir_all(&pages).map_err(failed)?;
     clap_mangen::generate_to(C::command(), &pages).map_err(failed)?;
     for shell in [Shell::Bash, Shell::Zsh, Shell::Fish, Shell::PowerShell] {

@@ -142,10 +142,7 @@ impl MetricsLog {
             .iter()
             .flat_map(|line| [line.as_str(), "\n"])
             .collect();
-        atomic::write(&self.path, text.as_bytes()).map_err(|source| Error::Write {
-            path: self.path.clone(),
-            source,
-        })
+        atomic::write(&self.path, text.as_bytes()).map_err(Error::write(&self.path))
     }
 }
 

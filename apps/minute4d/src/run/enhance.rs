@@ -57,12 +57,7 @@ struct Dependencies<'a> {
 ///
 /// [`Error`]: the capture cannot be read or says nothing of the dynamic part, weights are missing, the folder cannot be used, or the user stops.
 pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Error> {
-    if !input.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: input.to_path_buf(),
-        });
-    }
+    Error::unless_exists("capture", input)?;
     let settings = &job.settings;
     let (segmenter, tracker) = (settings.geometry.segmenter, settings.geometry.tracker);
     let plan = Plan::of(segmenter, tracker, Before::Motion)?;

@@ -119,9 +119,7 @@ pub fn with_threads<R: Send>(
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
-        .map_err(|e| Error::Internal {
-            what: format!("cannot start {threads} threads: {e}"),
-        })?;
+        .map_err(|e| Error::internal(format!("cannot start {threads} threads: {e}")))?;
     Ok(pool.install(f))
 }
 

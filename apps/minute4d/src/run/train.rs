@@ -38,12 +38,7 @@ struct Dependencies<'a> {
 ///
 /// [`Error`]: the capture cannot be used, the folder cannot be used, or the user asked to stop.
 pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
-    if !capture.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: capture.to_path_buf(),
-        });
-    }
+    Error::unless_exists("capture", capture)?;
     job.check()?;
     let clock = Clock::start(&job.settings);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
@@ -235,9 +230,8 @@ fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
 /// Writes the finished scene, reads it back and compares.
 fn publish(path: &Path, scene: &Scene) -> Result<(), Error> {
     if !scene.splats.is_finite() {
-        return Err(Error::Internal {
-            what: "training ended with values that are not finite".to_owned(),
-        });
+        let what = "training ended with values that are not finite";
+        return Err(Error::internal(what));
     }
     safetensors::write(path, scene, None, &BTreeMap::new())?;
     if safetensors::read(path)?.scene == *scene {

@@ -81,9 +81,7 @@ impl<'a> Broadcast<'a> {
         let thread = std::thread::Builder::new()
             .name("snapshots".to_owned())
             .spawn(move || pack_all(&receive, &title, &to, &done))
-            .map_err(|e| Error::Internal {
-                what: format!("cannot start a thread for the page: {e}"),
-            })?;
+            .map_err(|e| Error::internal(format!("cannot start a thread for the page: {e}")))?;
         Ok(Self {
             inner,
             hub,

@@ -51,7 +51,7 @@ pub struct Viewing {
 ///
 /// # Errors
 ///
-/// [`Error::Missing`] if there is no scene and no run, [`Error::Data`] if the scene cannot be
+/// [`Error::Missing`] if there is no scene and no run, [`Error::ReadData`] if the scene cannot be
 /// read, [`Error::Serve`] if the port cannot be had.
 pub fn view(path: &Path, port: u16, observer: &dyn Observer) -> Result<Viewing, Error> {
     let level = SimdLevel::detect()?;
@@ -180,10 +180,7 @@ impl Source {
         if source.newest().is_some() || (path.is_dir() && RunRecord::read(path)?.is_some()) {
             return Ok(source);
         }
-        Err(Error::Missing {
-            what: "scene or run",
-            path: path.to_path_buf(),
-        })
+        Err(Error::missing("scene or run", path))
     }
 
     /// The scene, or the newest checkpoint where training is not done.

@@ -1,6 +1,5 @@
 //! Refines the masks of a capture in memory, with any object tracker.
 
-use crate::error::EnhanceError;
 use crate::json::write_json;
 use crate::layout::OBJECTS_FILE;
 use crate::{Error, Refusal};
@@ -23,7 +22,7 @@ pub fn masks<'a>(
 ) -> Result<(Vec<(CompactMask, CompactIds)>, InstanceReport), Error> {
     let coarse = coarse(capture)?;
     let images: Vec<_> = capture.frames.iter().map(|frame| &frame.rgb).collect();
-    let refined = refine(&images, &coarse, settings, open, progress).map_err(EnhanceError::from)?;
+    let refined = refine(&images, &coarse, settings, open, progress)?;
     let frames = refined
         .frames
         .into_iter()

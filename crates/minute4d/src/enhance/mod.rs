@@ -19,7 +19,6 @@ pub use plan::{Before, Plan};
 
 use crate::cache::Steps;
 use crate::device::NetworkDevice;
-use crate::error::EnhanceError;
 #[cfg(feature = "nets")]
 use crate::error::NetworkMethod;
 use crate::json::plain_json;
@@ -75,10 +74,7 @@ pub fn apply(
         for (frame, (mask, ids)) in capture.frames.iter_mut().zip(frames) {
             (frame.mask, frame.instances) = (Some(mask), Some(ids));
         }
-        let read = serde_json::from_str(&text).map_err(|e| Error::Internal {
-            what: e.to_string(),
-        })?;
-        report = Some(read);
+        report = Some(serde_json::from_str(&text).map_err(Error::internal)?);
     }
     let follows = match plan.tracking {
         Tracking::Unchanged => false,
@@ -171,8 +167,7 @@ fn tracked(
             spacing_px: config.spacing_px,
             most: config.most,
         };
-        return Ok(networks::tapip3d(&net, &options, &clip, &grid, progress)
-            .map_err(EnhanceError::from)?);
+        return Ok(networks::tapip3d(&net, &options, &clip, &grid, progress)?);
     }
-    Ok(follow(&clip, &QueryGrid::chains(), progress).map_err(EnhanceError::from)?)
+    Ok(follow(&clip, &QueryGrid::chains(), progress)?)
 }

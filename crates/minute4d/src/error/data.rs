@@ -1,30 +1,8 @@
-//! The category of a failure, and errors that several operations share: data, outputs.
+//! The category of a failure, and errors that several operations share: outputs, refusals.
 
 use m4_core::advice::{REPLACE, RESUME};
-use m4_io::{ErrorKind, ReadError, WriteError};
+use m4_io::ErrorKind;
 use std::path::PathBuf;
-
-/// Why data could not be read or written: the errors of [`m4_io`].
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum DataError {
-    /// Reading a file or folder.
-    #[error(transparent)]
-    Read(#[from] ReadError),
-    /// Writing a file or folder.
-    #[error(transparent)]
-    Write(#[from] WriteError),
-}
-
-impl DataError {
-    /// Returns the category of the failure.
-    pub fn category(&self) -> Category {
-        match self {
-            Self::Read(e) => e.kind().into(),
-            Self::Write(e) => e.kind().into(),
-        }
-    }
-}
 
 /// The category of a failure, which determines the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -123,13 +101,6 @@ pub enum OutputError {
         /// The difference.
         what: String,
     },
-}
-
-impl OutputError {
-    /// Returns the category of the failure.
-    pub fn category(&self) -> Category {
-        Category::CannotWrite
-    }
 }
 
 /// A request or an input that cannot be used: what is wrong, where, and what to do next.

@@ -6,13 +6,11 @@
 
 mod data;
 mod network;
-mod stages;
 #[cfg(feature = "nets")]
 mod weights;
 
-pub use data::{Category, DataError, OutputError, Refusal};
+pub use data::{Category, OutputError, Refusal};
 pub use network::{NetworkError, NetworkMethod};
-pub use stages::{EnhanceError, ReconstructionError};
 #[cfg(feature = "nets")]
 pub use weights::WeightsError;
 
@@ -21,7 +19,9 @@ use crate::time::TimeError;
 use m4_core::advice::{CPU, RESUME, TIME_LIMIT};
 use m4_geometry::classical::dense::DenseError;
 use m4_geometry::classical::sparse::SparseError;
+use m4_geometry::masks::InstanceError;
 use m4_geometry::megasam::MegasamError;
+use m4_geometry::tracks::TrackError;
 use m4_io::{ErrorKind, ReadError, WriteError};
 use m4_kernels::SimdLevelError;
 use m4_train::TrainError;
@@ -63,9 +63,12 @@ pub enum Error {
     /// An output folder or file that cannot be used.
     #[error(transparent)]
     Output(#[from] OutputError),
-    /// Reading or writing videos, images, captures, scenes and cameras.
+    /// A file or folder whose contents cannot be used.
     #[error(transparent)]
-    Data(#[from] DataError),
+    ReadData(#[from] ReadError),
+    /// A file or folder whose contents cannot be written.
+    #[error(transparent)]
+    WriteData(#[from] WriteError),
     /// The time limit was reached before there was a scene.
     #[error(
         "the time limit of {seconds:.0} s was reached in the stage {stage}; finished work is kept: {}, and \
@@ -119,12 +122,21 @@ pub enum Error {
     /// A request or an input that cannot be used.
     #[error(transparent)]
     Refused(#[from] Refusal),
-    /// Cameras, depth and masks from a video.
+    /// Cameras and tracks from a video.
     #[error(transparent)]
-    Reconstruction(#[from] ReconstructionError),
-    /// Refining masks or tracking points.
+    Sparse(#[from] SparseError),
+    /// Depth and masks from a video.
     #[error(transparent)]
-    Enhance(#[from] EnhanceError),
+    Dense(#[from] DenseError),
+    /// MegaSaM's reconstruction of a video.
+    #[error(transparent)]
+    Megasam(#[from] MegasamError),
+    /// Refining masks.
+    #[error(transparent)]
+    Instances(#[from] InstanceError),
+    /// Tracking points.
+    #[error(transparent)]
+    Tracks(#[from] TrackError),
     /// The first splats.
     #[error(transparent)]
     Init(#[from] InitError),
@@ -145,24 +157,6 @@ pub enum Error {
     Serve(#[from] ServeError),
 }
 
-/// Lets `?` turn errors of other crates into [`Error`], through the type of the operation.
-macro_rules! from_parts_of {
-    ($($operation:ty: $($part:ty),+;)+) => {
-        $($(
-            impl From<$part> for Error {
-                fn from(error: $part) -> Self {
-                    <$operation>::from(error).into()
-                }
-            }
-        )+)+
-    };
-}
-
-from_parts_of! {
-    DataError: ReadError, WriteError;
-    ReconstructionError: SparseError, DenseError, MegasamError;
-}
-
 /// What a path is that exists without leading anywhere.
 fn of_link(path: &Path) -> &'static str {
     let is_link = path
@@ -177,15 +171,42 @@ fn of_link(path: &Path) -> &'static str {
 
 impl Error {
     /// For `map_err` after a read.
-    pub fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
-        let path = path.to_path_buf();
-        |source| Self::Read { path, source }
+    pub fn read(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
+        |source| Self::Read {
+            path: path.to_path_buf(),
+            source,
+        }
     }
 
     /// For `map_err` after a write.
-    pub fn write(path: &Path) -> impl FnOnce(io::Error) -> Self {
-        let path = path.to_path_buf();
-        |source| Self::Write { path, source }
+    pub fn write(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
+        |source| Self::Write {
+            path: path.to_path_buf(),
+            source,
+        }
+    }
+
+    /// Says what broke an invariant of the program; for `map_err` too.
+    pub fn internal(what: impl ToString) -> Self {
+        Self::Internal {
+            what: what.to_string(),
+        }
+    }
+
+    /// Says that nothing is at `path`, where `what` was expected.
+    pub fn missing(what: &'static str, path: &Path) -> Self {
+        Self::Missing {
+            what,
+            path: path.to_path_buf(),
+        }
+    }
+
+    /// Fails with [`Error::Missing`] where nothing is at `path`.
+    pub fn unless_exists(what: &'static str, path: &Path) -> Result<(), Self> {
+        match path.exists() {
+            true => Ok(()),
+            false => Err(Self::missing(what, path)),
+        }
     }
 
     /// Returns the category of the failure.
@@ -194,8 +215,9 @@ impl Error {
             Self::Read { source, .. } => ErrorKind::of_read(source).into(),
             Self::Write { .. } => Category::CannotWrite,
             Self::Missing { .. } => Category::NoInput,
-            Self::Output(e) => e.category(),
-            Self::Data(e) => e.category(),
+            Self::Output(_) => Category::CannotWrite,
+            Self::ReadData(e) => e.kind().into(),
+            Self::WriteData(e) => e.kind().into(),
             Self::TimeLimit { .. } => Category::TryAgain,
             Self::Stopped { .. } => Category::Stopped,
             Self::Internal { .. } => Category::Internal,
@@ -209,13 +231,28 @@ impl Error {
             #[cfg(feature = "nets")]
             Self::Weights(e) => e.category(),
             Self::Refused(e) => e.category,
-            Self::Reconstruction(e) => e.category(),
-            Self::Enhance(e) => e.category(),
-            Self::Init(InitError::BadSetting { .. })
+            Self::Sparse(SparseError::Setting { .. })
+            | Self::Dense(DenseError::Setting { .. })
+            | Self::Instances(InstanceError::Setting { .. })
+            | Self::Tracks(TrackError::Setting { .. })
+            | Self::Init(InitError::BadSetting { .. })
             | Self::Train(TrainError::BadSetting { .. }) => Category::BadSettings,
-            Self::Init(InitError::Stopped) => Category::Stopped,
+            Self::Sparse(SparseError::Cancelled)
+            | Self::Dense(
+                DenseError::Cancelled { .. } | DenseError::Tracks(TrackError::Cancelled { .. }),
+            )
+            | Self::Instances(InstanceError::Cancelled { .. })
+            | Self::Tracks(TrackError::Cancelled { .. })
+            | Self::Init(InitError::Stopped) => Category::Stopped,
+            Self::Megasam(e) if e.is_stop() => Category::Stopped,
             Self::Train(TrainError::Device { .. }) => Category::NoDevice,
-            Self::Init(_) | Self::Train(_) => Category::BadInput,
+            Self::Sparse(_)
+            | Self::Dense(_)
+            | Self::Megasam(_)
+            | Self::Instances(_)
+            | Self::Tracks(_)
+            | Self::Init(_)
+            | Self::Train(_) => Category::BadInput,
             Self::Time(_) => Category::Usage,
             Self::Frames(_) => Category::Internal,
             Self::Serve(_) => Category::TryAgain,

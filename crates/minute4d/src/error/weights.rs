@@ -3,7 +3,7 @@
 use super::{Category, Refusal};
 use m4_io::ErrorKind;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why weights could not be found, fetched or added.
 #[derive(Debug, thiserror::Error)]
@@ -52,6 +52,22 @@ pub enum WeightsError {
 }
 
 impl WeightsError {
+    /// For `map_err` after a read.
+    pub(crate) fn read(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
+        |source| Self::Read {
+            path: path.to_path_buf(),
+            source,
+        }
+    }
+
+    /// For `map_err` after a write.
+    pub(crate) fn write(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
+        |source| Self::Write {
+            path: path.to_path_buf(),
+            source,
+        }
+    }
+
     /// Category of the failure.
     pub fn category(&self) -> Category {
         match self {

@@ -204,9 +204,8 @@ impl Between {
             .tracks
             .as_ref()
             .map(|tracks| tracks.in_order(&chosen));
-        let tracks = tracks.transpose().map_err(|e| Error::Internal {
-            what: format!("tracks do not fit their frames: {e}"),
-        })?;
+        let unfit = |e| Error::internal(format!("tracks do not fit their frames: {e}"));
+        let tracks = tracks.transpose().map_err(unfit)?;
         let mut frames: Vec<_> = capture.frames.into_iter().map(Some).collect();
         let frames: Vec<_> = chosen.iter().filter_map(|&i| frames[i].take()).collect();
         observer.warn(&format!(

@@ -337,11 +337,7 @@ mod tests {
         let drawn = Painter::new(&scene, level).image(&camera, 1.0, &Exposure::IDENTITY);
         let observer = RecordingObserver::new(&Silent);
         let with = |automatic: bool| {
-            let frame = Box::new(|_: &_| {
-                Err(Error::Internal {
-                    what: "device lost".to_owned(),
-                })
-            });
+            let frame = Box::new(|_: &_| Err(Error::internal("device lost")));
             let on_gpu = Some(OnGpu { frame, automatic });
             SceneRenderer {
                 on_gpu,

@@ -156,10 +156,7 @@ pub fn add(
     accept_licence: bool,
 ) -> Result<Record, WeightsError> {
     check_licence(entry, accept_licence)?;
-    let file = files::open(path).map_err(|source| WeightsError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let file = files::open(path).map_err(WeightsError::read(path))?;
     let source = Source {
         description: "a file of the user's".to_owned(),
         ..Source::default()

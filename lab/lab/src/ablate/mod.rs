@@ -170,11 +170,8 @@ pub fn ablate(
     job: &Job<'_>,
 ) -> Result<AblationReport, Error> {
     if !input.exists() {
-        return Err(minute4d::Error::Missing {
-            what: "video, folder of images or capture",
-            path: input.to_path_buf(),
-        }
-        .into());
+        let what = "video, folder of images or capture";
+        return Err(minute4d::Error::missing(what, input).into());
     }
     job.check()?;
     let data = options.data.clone().unwrap_or_else(|| input.to_path_buf());
@@ -356,10 +353,7 @@ impl Bench<'_> {
     ) -> Result<RunRecord, Error> {
         let config = self.out.join(format!("{}.toml", row.name()));
         let text = settings.to_toml()?;
-        atomic::write(&config, text.as_bytes()).map_err(|source| minute4d::Error::Write {
-            path: config.clone(),
-            source,
-        })?;
+        atomic::write(&config, text.as_bytes()).map_err(minute4d::Error::write(&config))?;
         let mut command = Command::new(&self.options.program);
         command
             .args([crate::program::MINUTE4D, "run"])
@@ -376,10 +370,7 @@ impl Bench<'_> {
         }
         environment::pass_on(&mut command);
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
-        let ended = ended.map_err(|source| minute4d::Error::Read {
-            path: self.options.program.clone(),
-            source,
-        })?;
+        let ended = ended.map_err(minute4d::Error::read(&self.options.program))?;
         check_stop(self.job.observer, "ablate", true)?;
         if let Some(record) =
             RunRecord::read(folder)?.filter(|record| record.status == Status::Finished)

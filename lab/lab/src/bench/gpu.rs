@@ -56,9 +56,7 @@ pub(super) fn run(
     config: &BenchConfig,
     observer: &dyn Observer,
 ) -> Result<Case, Error> {
-    let mut host = Host::new(level, scene).map_err(|e| Error::Internal {
-        what: e.to_string(),
-    })?;
+    let mut host = Host::new(level, scene).map_err(Error::internal)?;
     let mut counts: Vec<Counts> = (0..host.views()).map(|view| host.count(view)).collect();
     let drawn = host.into_scene();
     let layout = drawn.splats.layout();

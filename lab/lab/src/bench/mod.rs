@@ -97,9 +97,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
         return Err(Error::NoGpuSupport);
     }
     let cases = each(&scenes, config.threads.len(), observer, |scene| {
-        let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal {
-            what: e.to_string(),
-        })?;
+        let mut bench = Bench::new(level, scene).map_err(Error::internal)?;
         let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
         let mut cases = Vec::new();
         for &threads in &config.threads {

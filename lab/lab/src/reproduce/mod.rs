@@ -86,11 +86,7 @@ pub fn reproduce(
     job: &Job<'_>,
 ) -> Result<ReproduceReport, Error> {
     if !data.is_dir() {
-        return Err(minute4d::Error::Missing {
-            what: "folder of the data set",
-            path: data.to_path_buf(),
-        }
-        .into());
+        return Err(minute4d::Error::missing("folder of the data set", data).into());
     }
     job.check()?;
     let protocols = suite.protocols_of(&options.protocols)?;

@@ -32,10 +32,7 @@ fn remove_half_written(folder: &Path, names: &[&str]) -> Result<(), Error> {
 
 /// Returns the hidden files of a folder; empty if the folder is missing.
 fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
-    let failed = |source| Error::Read {
-        path: folder.to_path_buf(),
-        source,
-    };
+    let failed = Error::read(folder);
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(failed)?,

@@ -225,10 +225,7 @@ fn copy_covisible(
         }
         let mask = read_mask(&source)?.to_mask();
         if copied == 0 {
-            fs::create_dir_all(&folder).map_err(|source| Error::Write {
-                path: folder.clone(),
-                source,
-            })?;
+            fs::create_dir_all(&folder).map_err(Error::write(&folder))?;
         }
         write_mask(&folder.join(format!("{i:05}.png")), &mask)?;
         copied += 1;

@@ -21,7 +21,7 @@ use crate::run::workspace::Workspace;
 use m4_io::scene::{Imported, fourdgs, ply, safetensors};
 use minute4d::export::{Format, Losses};
 use minute4d::layout::{Existing, SCENE_FILE};
-use minute4d::{DataError, Error, Observer, Refusal, Settings, hash};
+use minute4d::{Error, Observer, Refusal, Settings, hash};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -73,12 +73,7 @@ pub fn make(
     job: &ImportJob,
     observer: &dyn Observer,
 ) -> Result<Report, Error> {
-    if !file.exists() {
-        return Err(Error::Missing {
-            what: "file to import",
-            path: file.to_path_buf(),
-        });
-    }
+    Error::unless_exists("file to import", file)?;
     let format = ImportFormat::of(file, job.format)?;
     let splats = match format {
         ImportFormat::Scene(format) => format,
@@ -210,8 +205,8 @@ impl ImportJob {
 
 fn read(format: Format, path: &Path) -> Result<Imported, Error> {
     match format {
-        Format::Fourdgs => Ok(fourdgs::read(path).map_err(DataError::from)?),
-        Format::Ply => Ok(ply::read(path).map_err(DataError::from)?),
+        Format::Fourdgs => Ok(fourdgs::read(path)?),
+        Format::Ply => Ok(ply::read(path)?),
         _ => Err(format::write_only(format).into()),
     }
 }

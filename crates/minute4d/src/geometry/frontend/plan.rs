@@ -100,9 +100,7 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     } else {
         complete(asked, &here, &mut notes)
     };
-    let frontend = Frontend::of(parts.clone()).map_err(|e| Error::Internal {
-        what: e.to_string(),
-    })?;
+    let frontend = Frontend::of(parts.clone()).map_err(Error::internal)?;
     let (mut used, mut files) = (Vec::new(), Vec::new());
     for part in parts {
         if let Some((network, path)) = network(names(part), true, NetworkMethod::FrontEnd(part))? {

@@ -33,9 +33,7 @@ impl<'a> NetworkCorrespondence<'a> {
         device: &Compute,
     ) -> Result<Self, Error> {
         let Some(path) = plan.file(FrontendPart::Megasam) else {
-            return Err(Error::Internal {
-                what: "the front end has no tracking network".to_owned(),
-            });
+            return Err(Error::internal("the front end has no tracking network"));
         };
         let net = DroidNet::load(path, device)
             .map_err(unusable(NetworkMethod::FrontEnd(FrontendPart::Megasam)))?;

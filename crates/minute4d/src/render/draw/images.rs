@@ -38,9 +38,7 @@ impl ImageWriters {
         let thread = thread::Builder::new()
             .name("image".to_owned())
             .spawn(move || image::write_rgb(&path, &rgb));
-        let no_thread = |error| Error::Internal {
-            what: format!("no thread can be started: {error}"),
-        };
+        let no_thread = |error| Error::internal(format!("no thread can be started: {error}"));
         self.running.push_back(thread.map_err(no_thread)?);
         Ok(())
     }

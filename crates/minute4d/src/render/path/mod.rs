@@ -92,7 +92,7 @@ impl CameraPath {
     /// # Errors
     ///
     /// [`Error::Refused`] for options that cannot work, [`Error::Time`] for moments outside the
-    /// scene, [`Error::Data`] for a file that cannot be used.
+    /// scene, [`Error::ReadData`] for a file that cannot be used.
     pub fn plan(
         &self,
         scene: &Scene,
