@@ -30,11 +30,13 @@
 pub use crate::pose::Axes;
 
 use crate::dataset::nerfstudio::{Frame, LensKeys, TRAINING_LIST, Transforms, list_capture, rows};
-use crate::dataset::{ImportOptions, load};
+use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, load};
+use crate::error::AtPath;
 use crate::files::in_parallel;
 use crate::reach::Reach;
 use crate::{Fault, ReadError, WriteError, atomic, image, results, tracks};
-use m4_core::{Capture, CaptureFrame, Progress};
+use m4_core::{Capture, CaptureFrame, CompactDepth, Progress};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -136,6 +138,17 @@ impl Default for CaptureOptions {
     }
 }
 
+impl CaptureOptions {
+    /// The same for the reader of all data sets.
+    fn of_import(&self) -> ImportOptions {
+        ImportOptions {
+            max_memory_bytes: self.max_memory_bytes,
+            reach: self.reach,
+            ..ImportOptions::default()
+        }
+    }
+}
+
 /// Reads a split of a capture: `path` is its folder or one of its JSON files. The layout is that of
 /// [this module](self); frames come sorted by time, poses in OpenCV axes, lens distortion is
 /// removed.
@@ -170,11 +183,7 @@ pub fn read(
             format!("{what}; a capture is a folder with transforms_train.json, or such a file");
         return Err(Fault::Io(io::Error::new(io::ErrorKind::NotFound, what)).at(&file));
     }
-    let options = ImportOptions {
-        max_memory_bytes: options.max_memory_bytes,
-        reach: options.reach,
-        ..ImportOptions::default()
-    };
+    let options = options.of_import();
     let listing = list_capture(&file, split != Split::Train, &options, progress)?;
     Ok(load(&file, listing, BYTES_PER_8_PIXELS, &options, progress)?.train)
 }
@@ -287,6 +296,79 @@ pub fn write(
     atomic::write(&list, &text).map_err(io)
 }
 
+/// Returns the training video of a capture that [`write()`] wrote to `folder` as [`read()`] returns
+/// it, bit for bit, without the files: depth in steps, times of the frames that are left.
+///
+/// Fails as [`read()`] does where a value is out of range, or memory does not suffice.
+pub fn as_read(
+    folder: &Path,
+    capture: Capture,
+    options: &CaptureOptions,
+    progress: &dyn Progress,
+) -> Result<Capture, ReadError> {
+    let unit = depth_unit(&capture);
+    let (before, time_frames) = (capture.time_frames, capture.frames.len());
+    let listed = |(i, frame): (usize, CaptureFrame)| {
+        let [image, ..] = files(Split::Train, i);
+        let time = frame.t / last_moment(before);
+        let lens = Lens::pinhole(frame.camera.intrinsics);
+        let steps = |depth: CompactDepth| {
+            CompactDepth::from_steps(image::depth_steps(&depth.to_map(), unit), unit)
+        };
+        ListedFrame {
+            depth: frame.depth.map(steps).map(FrameSource::held),
+            mask: frame.mask.map(FrameSource::held),
+            motion: frame.motion.map(FrameSource::held),
+            instances: frame.instances.map(FrameSource::held),
+            camera_index: frame.camera_index,
+            ..ListedFrame::new(
+                image,
+                lens,
+                frame.camera.c2w,
+                time * (time_frames.max(1) - 1) as f64,
+                FrameSource::held(frame.rgb),
+            )
+        }
+    };
+    if let Some(tracks) = &capture.tracks {
+        tracks::check_places(tracks.xyz(), tracks.count()).at(&folder.join(TRACKS_FILE))?;
+    }
+    let listing = Listing {
+        metric: capture.metric,
+        tracks: capture.tracks,
+        ..Listing::of_video(
+            capture
+                .frames
+                .into_par_iter()
+                .enumerate()
+                .map(listed)
+                .collect(),
+            time_frames,
+            capture.duration_s,
+        )
+    };
+    let list = folder.join(Split::Train.file_name());
+    Ok(load(
+        &list,
+        listing,
+        BYTES_PER_8_PIXELS,
+        &options.of_import(),
+        progress,
+    )?
+    .train)
+}
+
+/// What a frame's time is divided by when it is written.
+fn last_moment(time_frames: usize) -> f64 {
+    (time_frames.max(2) - 1) as f64
+}
+
+/// Files of image, depth, mask, motion and instances of a frame.
+fn files(split: Split, index: usize) -> [String; 5] {
+    let in_folder = |folder| format!("{folder}/{index:05}.png");
+    split.folders().map(in_folder)
+}
+
 /// The keys of one frame.
 fn entry(
     list: &Path,
@@ -297,7 +379,7 @@ fn entry(
 ) -> Result<Frame, WriteError> {
     let bad =
         |what: String| WriteError::bad(list, format!("frame {index} ({:?}): {what}", frame.name));
-    let time = frame.t / (time_frames.max(2) - 1) as f64;
+    let time = frame.t / last_moment(time_frames);
     if !(0.0..=1.0).contains(&time) {
         let last = time_frames.max(1) - 1;
         return Err(bad(format!(
@@ -327,9 +409,7 @@ fn entry(
             k.width, k.height
         )));
     }
-    let [image, depth, mask, motion, instances] = split
-        .folders()
-        .map(|folder| format!("{folder}/{index:05}.png"));
+    let [image, depth, mask, motion, instances] = files(split, index);
     Ok(Frame {
         file_path: image,
         depth_file_path: frame.depth.as_ref().map(|_| depth),

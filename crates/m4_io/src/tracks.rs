@@ -54,19 +54,7 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
         .iter()
         .map(|p| p.map(|v| v as f32))
         .collect();
-    let strays = |v: &f32| !v.is_nan() && !COORDINATE.contains(&f64::from(*v));
-    if let Some((at, v)) = xyz
-        .iter()
-        .enumerate()
-        .find_map(|(at, p)| Some((at, *p.iter().find(|v| strays(v))?)))
-    {
-        let (frame, track) = (at / tracks.max(1), at % tracks.max(1));
-        let expected = range::words(&COORDINATE, "scene units");
-        let what = format!(
-            "the position of track {track} in frame {frame} holds {v:e}; {expected} was expected"
-        );
-        return Err(Fault::bad(what, "unknown positions must be NaN"));
-    }
+    check_places(&xyz, tracks)?;
     let a_frame = format!("({frames} frames, {tracks} tracks)");
     let bytes = [Number::Bool, Number::U8, Number::I8];
     let visible = of_bytes(
@@ -109,6 +97,21 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, Fault> 
             .map_err(wrong),
         None => Ok(tracks3d),
     }
+}
+
+/// Refuses places `[frames][tracks]` out of range.
+pub(crate) fn check_places(xyz: &[[f32; 3]], tracks: usize) -> Result<(), Fault> {
+    let strays = |v: &f32| !v.is_nan() && !COORDINATE.contains(&f64::from(*v));
+    let stray = |(at, p): (usize, &[f32; 3])| Some((at, *p.iter().find(|v| strays(v))?));
+    let Some((at, v)) = xyz.iter().enumerate().find_map(stray) else {
+        return Ok(());
+    };
+    let (frame, track) = (at / tracks.max(1), at % tracks.max(1));
+    let expected = range::words(&COORDINATE, "scene units");
+    let what = format!(
+        "the position of track {track} in frame {frame} holds {v:e}; {expected} was expected"
+    );
+    Err(Fault::bad(what, "unknown positions must be NaN"))
 }
 
 fn unfit(name: &str, array: &Array<'_>, expected: &str) -> Fault {

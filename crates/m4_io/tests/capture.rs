@@ -5,9 +5,9 @@ use crate::common::{Heard, says};
 use m4_core::advice::OUTSIDE;
 use m4_core::nalgebra::Vector6;
 use m4_core::{
-    Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Se3, Silent,
+    Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Se3, Silent, Tracks,
 };
-use m4_io::capture::{CaptureOptions, Split, read, write};
+use m4_io::capture::{CaptureOptions, Split, as_read, read, write};
 use m4_io::image::{write_mask, write_rgb};
 use m4_io::reach::Reach;
 use m4_io::{ErrorKind, ReadError};
@@ -108,6 +108,58 @@ fn captures_round_trip() {
             .frames
             .len(),
         3
+    );
+}
+
+#[test]
+fn a_capture_in_memory_is_the_one_that_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    // Every third frame of a longer video, with depths that 16 bits round and others that they clip.
+    let places = (0..10).map(|i| [i as f32 / 3.0, 1.0 / 7.0, f32::NAN]);
+    let tracks = Tracks::new(5, 2, places.collect(), vec![true; 10]).unwrap();
+    let mut capture = Capture {
+        time_frames: 14,
+        tracks: Some(tracks.with_confidence(&[0.4; 10]).unwrap()),
+        ..test_capture(5)
+    };
+    for (i, frame) in capture.frames.iter_mut().enumerate() {
+        frame.t = 3.0 * i as f64 + 0.1;
+    }
+    capture.frames[0].depth = Some(Plane::from_fn(9, 7, |x, _| 1e-3 * 9f32.powi(x as i32)).into());
+    write(dir.path(), &capture, Split::Train, &Silent).unwrap();
+    let options = CaptureOptions::default();
+    let read = read(dir.path(), Split::Train, &options, &Silent).unwrap();
+    let held = as_read(dir.path(), capture.clone(), &options, &Silent).unwrap();
+    assert_eq!(
+        (held.time_frames, held.duration_s, held.metric),
+        (5, read.duration_s, read.metric)
+    );
+    // A place that is NaN is equal to nothing.
+    assert_eq!(format!("{:?}", held.tracks), format!("{:?}", read.tracks));
+    for (held, read) in held.frames.iter().zip(&read.frames) {
+        assert_eq!(
+            (&held.name, held.camera, held.t.to_bits()),
+            (&read.name, read.camera, read.t.to_bits())
+        );
+        assert_eq!((&held.rgb, &held.mask), (&read.rgb, &read.mask));
+        assert_eq!(
+            (&held.motion, &held.instances),
+            (&read.motion, &read.instances)
+        );
+        assert_eq!(held.camera_index, read.camera_index);
+        assert_eq!(format!("{:?}", held.depth), format!("{:?}", read.depth));
+    }
+    let little = CaptureOptions {
+        max_memory_bytes: 1000,
+        ..options
+    };
+    let [of_files, of_memory] = [
+        m4_io::capture::read(dir.path(), Split::Train, &little, &Silent),
+        as_read(dir.path(), capture, &little, &Silent),
+    ];
+    assert_eq!(
+        of_memory.unwrap_err().to_string(),
+        of_files.unwrap_err().to_string()
     );
 }
 

@@ -63,9 +63,7 @@ impl HeldOut {
             reach,
             ..Settings::fast().capture
         };
-        if !data.exists() {
-            return Err(minute4d::Error::missing("capture", data).into());
-        }
+        minute4d::Error::unless_exists("capture", data)?;
         if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
             return Err(no_test_list(data).into());
         }

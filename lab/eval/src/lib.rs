@@ -77,9 +77,7 @@ pub fn geometry(
         ..Settings::fast().capture
     };
     let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
-    if !truth.exists() {
-        return Err(minute4d::Error::missing("known geometry", truth).into());
-    }
+    minute4d::Error::unless_exists("known geometry", truth)?;
     Ok(evaluate(
         &estimate,
         &read_truth(truth, &options, observer)?,

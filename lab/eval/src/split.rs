@@ -142,9 +142,7 @@ pub fn split(
     reach: Reach,
     observer: &dyn Observer,
 ) -> Result<SplitRecord, Error> {
-    if !data.exists() {
-        return Err(minute4d::Error::missing("capture", data).into());
-    }
+    minute4d::Error::unless_exists("capture", data)?;
     let mut settings = Settings::fast();
     settings.capture.reach = reach;
     let capture = m4_io::capture::read(data, Split::Train, &settings.capture, observer)?;

@@ -2,7 +2,8 @@
 
 use super::Job;
 use super::folder::CaptureFolder;
-use super::record::{GeometryRecord, Input};
+use super::record::{GeometryRecord, Source};
+use super::stage;
 use m4_core::Tracks;
 use m4_geometry::classical::dense::DenseConfig;
 use minute4d::device::NetworkDevice;
@@ -76,17 +77,12 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         networks: &plan.used,
     };
     let part = plain_json(&part)?;
-    let source = Input {
-        path: input.display().to_string(),
+    let source = Source {
+        path: input,
         blake3: hash::of_capture(&capture),
     };
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        &source.blake3,
-        &part.to_string(),
-    ]);
-    let mut record = GeometryRecord::begin(source, key, part);
+    let key = stage::key(STAGE, &[&source.blake3, &part.to_string()]);
+    let mut record = GeometryRecord::begin(&source, key, part);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = recorder.warnings();
     let before = enhance::moving_share(&capture);
@@ -111,14 +107,9 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         } else {
             NetworkDevice::processor()
         };
-        let (capture, instance_report) = enhance::apply(capture, &plan, settings, &device, steps)?;
-        enhance::write(
-            &folder.next(),
-            &capture,
-            instance_report.as_ref(),
-            steps.observer(),
-        )?;
-        Ok((capture, instance_report))
+        let (capture, report) = enhance::apply(capture, &plan, settings, &device, steps)?;
+        enhance::write(&folder.next(), &capture, report.as_ref(), steps.observer())?;
+        Ok((capture, report))
     })?;
     let seconds = folder.record.seconds;
     Ok(EnhanceReport {

@@ -2,11 +2,13 @@
 
 use super::Job;
 use super::folder::CaptureFolder;
-use super::record::{GeometryRecord, Input};
+use super::record::{GeometryRecord, Source};
+use super::stage;
+use m4_core::Capture;
 use minute4d::geometry::{Plan, compute};
 use minute4d::json::plain_json;
 use minute4d::settings::part_to_toml;
-use minute4d::{Error, enhance, hash};
+use minute4d::{Error, enhance};
 use std::path::Path;
 
 /// Name of the stage.
@@ -17,59 +19,34 @@ pub const STAGE: &str = "geometry";
 /// # Errors
 ///
 /// [`Error`]: the input cannot be read, the folder cannot be used, or nothing can be reconstructed.
-pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
-    if !input.exists() {
-        return Err(Error::Missing {
-            what: "video or folder of images",
-            path: input.to_path_buf(),
-        });
-    }
-    let blake3 = hash::of_input(input, Some(capture), job.observer)?;
-    of_source(
-        input,
-        Input {
-            path: input.display().to_string(),
-            blake3,
-        },
-        capture,
-        job,
-    )
+pub fn make(input: &Path, folder: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
+    Error::unless_exists("video or folder of images", input)?;
+    let source = Source::read(input, Some(folder), job.observer)?;
+    Ok(of_source(&source, folder, job)?.0)
 }
 
-/// The same of an `input` whose hash is in `source`.
+/// The same of a hashed `source`. Returns the capture too where it was made now.
 pub(crate) fn of_source(
-    input: &Path,
-    source: Input,
-    capture: &Path,
+    source: &Source<'_>,
+    folder: &Path,
     job: &Job<'_>,
-) -> Result<GeometryRecord, Error> {
+) -> Result<(GeometryRecord, Option<Capture>), Error> {
     let plan = Plan::new(&job.settings, job.device.choice)?;
     let part = plan.dependencies()?;
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        &source.blake3,
-        &part_to_toml(&part)?,
-    ]);
+    let key = stage::key(STAGE, &[&source.blake3, &part_to_toml(&part)?]);
     let record = GeometryRecord::begin(source, key, plain_json(&part)?);
-    let inputs: Vec<&Path> = [input]
-        .into_iter()
-        .chain(job.settings.geometry.files())
-        .collect();
-    let mut folder = CaptureFolder::open(capture, job.existing, record, &inputs, job.observer)?;
+    let files = job.settings.geometry.files();
+    let inputs: Vec<&Path> = [source.path].into_iter().chain(files).collect();
+    let mut folder = CaptureFolder::open(folder, job.existing, record, &inputs, job.observer)?;
     if let Some(earlier) = folder.reused(STAGE) {
-        return Ok(earlier);
+        return Ok((earlier, None));
     }
-    folder.stage(STAGE, |folder, steps| {
-        let result = compute(input, &plan, steps)?;
-        enhance::write(
-            &folder.next(),
-            &result.capture,
-            result.objects.as_ref(),
-            steps.observer(),
-        )?;
+    let capture = folder.stage(STAGE, |folder, steps| {
+        let result = compute(source.path, &plan, steps)?;
+        let objects = result.objects.as_ref();
+        enhance::write(&folder.next(), &result.capture, objects, steps.observer())?;
         folder.record.found = Some(result.summary);
-        Ok(())
+        Ok(result.capture)
     })?;
-    Ok(folder.record)
+    Ok((folder.record, Some(capture)))
 }

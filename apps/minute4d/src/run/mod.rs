@@ -18,12 +18,12 @@ mod workspace;
 use clock::Clock;
 use m4_kernels::SimdLevel;
 use minute4d::device::DeviceRequest;
-use minute4d::hash::{self, HashedCapture};
+use minute4d::hash::HashedCapture;
 use minute4d::layout::{CAPTURE_FOLDER, Existing, is_capture};
 use minute4d::observer::RecordingObserver;
 use minute4d::settings::GeometryOptions;
 use minute4d::{Error, Observer, Settings};
-use record::{Input, RunRecord, StageRecord};
+use record::{RunRecord, Source, StageRecord};
 use std::path::Path;
 use workspace::Workspace;
 
@@ -43,32 +43,28 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         }
         return train::make(input, out, job);
     }
-    if !input.exists() {
-        return Err(Error::Missing {
-            what: "video, folder of images or capture",
-            path: input.to_path_buf(),
-        });
-    }
+    Error::unless_exists("video, folder of images or capture", input)?;
     job.check()?;
     let clock = Clock::start(&job.settings);
-    let source = Input {
-        path: input.display().to_string(),
-        blake3: hash::of_input(input, Some(out), job.observer)?,
-    };
-    Workspace::open(out, input, source.clone(), job, clock)?.finish(|run| {
+    let source = Source::read(input, Some(out), job.observer)?;
+    Workspace::open(out, &source, job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
         let recorder = RecordingObserver::new(job.observer).until(clock.end());
-        let outcome = geometry::of_source(input, source, &folder, &job.of_geometry(&recorder))
+        let (record, capture) = geometry::of_source(&source, &folder, &job.of_geometry(&recorder))
             .map_err(|error| clock.blame(error, geometry::STAGE, job.observer.cancelled()))?;
         let stage = StageRecord {
-            key: outcome.key,
+            key: record.key,
             done: true,
-            seconds: outcome.seconds,
-            peak_memory_bytes: outcome.peak_memory_bytes,
-            warnings: outcome.warnings,
+            seconds: record.seconds,
+            peak_memory_bytes: record.peak_memory_bytes,
+            warnings: record.warnings,
         };
         run.record.stages.insert(geometry::STAGE.to_owned(), stage);
-        let capture = train::read(&folder, &job.settings, job.observer)?;
+        let options = &job.settings.capture;
+        let capture = match capture {
+            Some(capture) => m4_io::capture::as_read(&folder, capture, options, job.observer)?,
+            None => train::read(&folder, &job.settings, job.observer)?,
+        };
         train::all(run, &HashedCapture::new(capture))
     })
 }

@@ -1,9 +1,9 @@
 //! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side; and
 //! `poster.jpg`: a frame and its re-render, for overviews of many clips.
 
-use super::train;
+use super::{stage, train};
 use crate::run::record::{FileRecord, RUN_FILE, RunRecord};
-use crate::run::workspace::{Task, Workspace};
+use crate::run::workspace::Workspace;
 use m4_core::{
     Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb,
 };
@@ -12,7 +12,7 @@ use m4_io::results::Kind;
 use m4_io::scene::safetensors;
 use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
-use minute4d::hash::{self, HashedCapture};
+use minute4d::hash::HashedCapture;
 use minute4d::layout::{self, CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
 use minute4d::observer::{RecordingObserver, check_stop};
 use minute4d::render::{SWING_FRAMES, SceneRenderer, source_fps, swing};
@@ -27,33 +27,20 @@ pub const STAGE: &str = "preview";
 const MIN_SECONDS: f64 = 4.0;
 
 /// Makes the preview within a run, unless that was done before.
-pub(crate) fn stage(
+pub(crate) fn make(
     run: &mut Workspace<'_>,
     capture: &HashedCapture,
     scene: &Scene,
 ) -> Result<(), Error> {
-    let scene_hash = run
-        .record
-        .files
-        .get(SCENE_FILE)
-        .map_or("", |f| f.blake3.as_str());
     let config = part_to_toml(&run.job.settings.preview)?;
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        scene_hash,
-        &capture.hash,
-        &config,
-    ]);
-    let task = match run.task(STAGE, &key, &[PREVIEW_FILE])? {
-        Task::Reuse => {
-            run.job.observer.stage(STAGE, StageEvent::Reused);
-            return Ok(());
-        }
-        // A preview is computed again, so seconds of an earlier attempt do not count.
-        Task::Work { because, .. } => (because, 0.0),
+    let key = stage::key(STAGE, &[run.scene_hash(), &capture.hash, &config]);
+    let Some(mut task) = run.task(STAGE, key, &[PREVIEW_FILE])? else {
+        run.job.observer.stage(STAGE, StageEvent::Reused);
+        return Ok(());
     };
-    run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| {
+    // A preview is computed again, so seconds of an earlier attempt do not count.
+    task.seconds_before = 0.0;
+    run.stage(STAGE, task, &[PREVIEW_FILE], |run, keeper| {
         draw(run, &capture.capture, scene, keeper)
     })
 }
@@ -64,11 +51,7 @@ fn draw(
     scene: &Scene,
     keeper: &RecordingObserver<'_>,
 ) -> Result<(), Error> {
-    let Some(first) = scene.source.first() else {
-        return Err(Error::Internal {
-            what: "the scene has no source frames".to_owned(),
-        });
-    };
+    let first = scene.source.first().ok_or_else(no_source)?;
     let size = panel_size(&first.camera, run.job.settings.preview.panel_px);
     let fps = source_fps(scene);
     let mut writer = Mp4Writer::create(&run.path(PREVIEW_FILE), 3 * size.0 + 2 * GAP, size.1, fps)?;
@@ -116,6 +99,10 @@ fn draw(
     Ok(writer.finish()?)
 }
 
+fn no_source() -> Error {
+    Error::internal("the scene has no source frames")
+}
+
 /// The size of a panel: at most `longest` pixels per side, both sides even.
 fn panel_size(camera: &Camera, longest: usize) -> (usize, usize) {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -137,10 +124,7 @@ const SIDE_PX: usize = 240;
 /// [`Error::Missing`] where the folder holds no run; [`Error`] where scene or capture cannot be
 /// read or nothing can be written.
 pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, Error> {
-    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::Missing {
-        what: RUN_FILE,
-        path: run.to_path_buf(),
-    })?;
+    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::missing(RUN_FILE, run))?;
     // Warnings about the capture were given while the scene was made.
     let capture_folder = run.join(CAPTURE_FOLDER);
     let capture = train::read(
@@ -154,11 +138,8 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     )?;
     let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
     let frame = scene.source.len() / 2;
-    let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {
-        return Err(Error::Internal {
-            what: "the scene has no source frames".to_owned(),
-        });
-    };
+    let photo = capture.frames.get(frame);
+    let (source, photo) = scene.source.get(frame).zip(photo).ok_or_else(no_source)?;
     let (width, height) = panel_size(&source.camera, SIDE_PX);
     let photo = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle);
     let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None, &Silent)?;

@@ -5,7 +5,7 @@
 
 use minute4d::geometry::GeometrySummary;
 use minute4d::json::{plain_json, read_json, write_json};
-use minute4d::{Error, Settings, hash};
+use minute4d::{Error, Progress, Settings, hash};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -44,6 +44,30 @@ pub struct Input {
     pub path: String,
     /// BLAKE3 of its bytes, hexadecimal.
     pub blake3: String,
+}
+
+/// What a run or a stage starts from: a file or folder, and the hash that stands for it.
+pub(crate) struct Source<'a> {
+    /// Where it is.
+    pub path: &'a Path,
+    /// BLAKE3 of its bytes, or of the capture in it, hexadecimal.
+    pub blake3: String,
+}
+
+impl<'a> Source<'a> {
+    /// Hashes the bytes of a file or folder, but for results in `out`, which may be in it.
+    pub fn read(path: &'a Path, out: Option<&Path>, watch: &dyn Progress) -> Result<Self, Error> {
+        let blake3 = hash::of_input(path, out, watch)?;
+        Ok(Self { path, blake3 })
+    }
+
+    /// Returns what a record says of it.
+    pub fn input(&self) -> Input {
+        Input {
+            path: self.path.display().to_string(),
+            blake3: self.blake3.clone(),
+        }
+    }
 }
 
 /// One stage of a run.
@@ -251,13 +275,13 @@ pub struct GeometryRecord {
 
 impl GeometryRecord {
     /// Creates the record of a stage that is about to run with this key and these settings.
-    pub(crate) fn begin(input: Input, key: String, settings: Value) -> Self {
+    pub(crate) fn begin(source: &Source<'_>, key: String, settings: Value) -> Self {
         Self {
             format: GEOMETRY_FORMAT.to_owned(),
             version: VERSION,
             minute4d: env!("CARGO_PKG_VERSION").to_owned(),
             status: Status::Running,
-            input,
+            input: source.input(),
             key,
             settings,
             found: None,

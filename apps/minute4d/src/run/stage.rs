@@ -1,8 +1,8 @@
 //! Runs a stage, and records how it ended.
 
 use super::record::Status;
-use minute4d::Error;
 use minute4d::observer::{Observer, RecordingObserver, StageEvent};
+use minute4d::{Error, hash};
 use std::time::Instant;
 
 /// A folder with the record that a stage writes.
@@ -30,6 +30,12 @@ pub(crate) struct Ended {
     pub seconds: f64,
     /// Warnings of this attempt, each once.
     pub warnings: Vec<String>,
+}
+
+/// The key of a stage: the hash of its name, of this release, and of all that its result depends
+/// on.
+pub(crate) fn key(stage: &str, parts: &[&str]) -> String {
+    hash::of_parts(&[&[stage, env!("CARGO_PKG_VERSION")], parts].concat())
 }
 
 /// Runs the work of a stage, and records its start and its end in `folder`. `because` says why an

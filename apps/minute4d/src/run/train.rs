@@ -3,9 +3,9 @@
 use super::checkpoint::{Checkpoints, MetricsLog};
 use super::clock::Clock;
 use super::folder;
-use super::record::{Device, Input, RunRecord, SplatCount};
-use super::workspace::{Task, Workspace};
-use super::{Job, preview, viewer};
+use super::record::{Device, RunRecord, Source, SplatCount};
+use super::workspace::Workspace;
+use super::{Job, preview, stage, viewer};
 use m4_core::{Capture, Progress, Scene};
 use m4_io::capture::Split;
 use m4_io::scene::safetensors;
@@ -13,7 +13,7 @@ use m4_kernels::SimdLevel;
 use m4_train::{MetricsEvent, TrainConfig, Trainer};
 use minute4d::OutputError;
 use minute4d::device::OpenGpu;
-use minute4d::hash::{self, HashedCapture};
+use minute4d::hash::HashedCapture;
 use minute4d::layout::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use minute4d::observer::RecordingObserver;
 use minute4d::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
@@ -44,18 +44,18 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let data = read(capture, &job.settings, job.observer)?;
     let data = HashedCapture::new(data);
-    let input = Input {
-        path: capture.display().to_string(),
+    let source = Source {
+        path: capture,
         blake3: data.hash.clone(),
     };
-    Workspace::open(out, capture, input, job, clock)?.finish(|run| all(run, &data))
+    Workspace::open(out, &source, job, clock)?.finish(|run| all(run, &data))
 }
 
 /// Trains; writes preview and viewer if time remains.
 pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<(), Error> {
-    let (scene, packed) = stage(run, capture)?;
+    let (scene, packed) = trained(run, capture)?;
     let plan = viewer::plan(run, capture)?;
-    let wanted = matches!(plan, viewer::Plan::Write { .. }) && !run.clock.is_over();
+    let wanted = matches!(plan, viewer::Plan::Write(_)) && !run.clock.is_over();
     // The page is made while the preview is drawn; a scene of an earlier run is packed now.
     let packed = if wanted {
         packed.or_else(|| viewer::packed(run, &scene))
@@ -63,7 +63,7 @@ pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<()
         None
     };
     let (preview, page) = rayon::join(
-        || run.if_there_is_time("a preview", |run| preview::stage(run, capture, &scene)),
+        || run.if_there_is_time("a preview", |run| preview::make(run, capture, &scene)),
         || {
             packed
                 .map(|packed| viewer::Page::new(packed, &capture.capture, &scene))
@@ -71,7 +71,7 @@ pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<()
         },
     );
     preview?;
-    run.if_there_is_time("the page", |run| viewer::stage(run, plan, page?))
+    run.if_there_is_time("the page", |run| viewer::make(run, plan, page?))
 }
 
 /// Reads the training frames of a capture.
@@ -90,7 +90,7 @@ pub(crate) fn read(
 
 /// Trains within a run, unless that was done before. Returns the scene, and the splats for its page
 /// where they were packed as well.
-pub(crate) fn stage(
+fn trained(
     run: &mut Workspace<'_>,
     capture: &HashedCapture,
 ) -> Result<(Scene, Option<viewer::Packed>), Error> {
@@ -100,31 +100,17 @@ pub(crate) fn stage(
         init: &settings.init,
         train: &settings.train,
     })?;
-    let mut parts = vec![
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        &capture.hash,
-        run.level.name(),
-        &part,
-    ];
+    let mut parts = vec![capture.hash.as_str(), run.level.name(), &part];
     // last digits are the device's own
     parts.extend(run.gpu.as_ref().map(OpenGpu::name));
-    let key = hash::of_parts(&parts);
+    let key = stage::key(STAGE, &parts);
     let files = [SCENE_FILE, METRICS_FILE];
-    let task = run.task(STAGE, &key, &files)?;
-    let (because, seconds) = match task {
-        Task::Reuse => {
-            run.job.observer.stage(STAGE, StageEvent::Reused);
-            return Ok((safetensors::read(&run.path(SCENE_FILE))?.scene, None));
-        }
-        Task::Work {
-            because,
-            seconds_before,
-        } => (because, seconds_before),
+    let Some(task) = run.task(STAGE, key.clone(), &files)? else {
+        run.job.observer.stage(STAGE, StageEvent::Reused);
+        return Ok((safetensors::read(&run.path(SCENE_FILE))?.scene, None));
     };
-    let same_key = key.clone();
-    let result = run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
-        train(run, &capture.capture, &same_key, keeper)
+    let result = run.stage(STAGE, task, &files, |run, keeper| {
+        train(run, &capture.capture, &key, keeper)
     })?;
     // Only now: until the record says that the scene is whole, they are what a killed run continues
     // from.

@@ -1,10 +1,11 @@
 //! The last stage of a run: writes the page.
 
+use super::stage;
 use super::workspace::{Task, Workspace};
 use m4_core::Scene;
 use m4_viewer::page::TEMPLATE;
 use minute4d::hash::{self, HashedCapture};
-use minute4d::layout::{CAPTURE_FOLDER, SCENE_FILE, VIEWER_FILE};
+use minute4d::layout::{CAPTURE_FOLDER, VIEWER_FILE};
 pub use minute4d::page::{Packed, Page};
 use minute4d::page::{median_depth, pack};
 use minute4d::settings::part_to_toml;
@@ -31,10 +32,7 @@ pub(crate) enum Plan {
     /// It was written before.
     Reuse,
     /// It is written again; seconds of an earlier attempt do not count.
-    Write {
-        key: String,
-        because: Option<&'static str>,
-    },
+    Write(Task),
 }
 
 /// Decides that, once the scene of the run is written.
@@ -43,33 +41,24 @@ pub(crate) fn plan(run: &Workspace<'_>, capture: &HashedCapture) -> Result<Plan,
     if !config.write {
         return Ok(Plan::Nothing);
     }
-    let scene_hash = run
-        .record
-        .files
-        .get(SCENE_FILE)
-        .map_or("", |f| f.blake3.as_str());
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        scene_hash,
-        &capture.hash,
-        &part_to_toml(config)?,
-        &hash::of_parts(&[TEMPLATE, &title(run.place(), &run.record.input.path)]),
-    ]);
-    Ok(match run.task(STAGE, &key, &[VIEWER_FILE])? {
-        Task::Reuse => Plan::Reuse,
-        Task::Work { because, .. } => Plan::Write { key, because },
+    let config = part_to_toml(config)?;
+    let page = hash::of_parts(&[TEMPLATE, &title(run.place(), &run.record.input.path)]);
+    let key = stage::key(STAGE, &[run.scene_hash(), &capture.hash, &config, &page]);
+    Ok(match run.task(STAGE, key, &[VIEWER_FILE])? {
+        None => Plan::Reuse,
+        Some(mut task) => {
+            task.seconds_before = 0.0;
+            Plan::Write(task)
+        }
     })
 }
 
 /// Does what was planned: writes `page`, which there is where one is to be written.
-pub(crate) fn stage(run: &mut Workspace<'_>, plan: Plan, page: Option<Page>) -> Result<(), Error> {
+pub(crate) fn make(run: &mut Workspace<'_>, plan: Plan, page: Option<Page>) -> Result<(), Error> {
     match (plan, page) {
-        (Plan::Write { key, because }, Some(page)) => {
-            run.stage(STAGE, key, (because, 0.0), &[VIEWER_FILE], |run, _| {
-                page.write(&run.path(VIEWER_FILE))
-            })
-        }
+        (Plan::Write(task), Some(page)) => run.stage(STAGE, task, &[VIEWER_FILE], |run, _| {
+            page.write(&run.path(VIEWER_FILE))
+        }),
         (Plan::Reuse, _) => {
             run.job.observer.stage(STAGE, StageEvent::Reused);
             Ok(())

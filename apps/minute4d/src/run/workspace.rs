@@ -4,11 +4,12 @@ use crate::run::Clock;
 use crate::run::Job;
 use crate::run::folder::RunFolder;
 use crate::run::record::{
-    Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes,
+    Device, FileRecord, RunRecord, Source, StageRecord, Status, peak_memory_bytes,
 };
 use crate::run::stage::{self, Ended, StageFolder};
 use m4_kernels::SimdLevel;
 use minute4d::device::OpenGpu;
+use minute4d::layout::SCENE_FILE;
 use minute4d::observer::RecordingObserver;
 use minute4d::{Error, Observer, hash};
 use std::fs;
@@ -58,35 +59,44 @@ impl Drop for Room {
     }
 }
 
-/// The task of a stage.
-pub(crate) enum Task {
-    /// Nothing: an earlier result is complete and has the same input and settings.
-    Reuse,
-    /// The whole stage, or the rest of an interrupted one, after this many earlier seconds.
-    Work {
-        because: Option<&'static str>,
-        seconds_before: f64,
-    },
+/// The task of a stage: all of it, or the rest of an interrupted one.
+pub(crate) struct Task {
+    /// The key of the stage.
+    key: String,
+    /// Why an earlier result is not reused.
+    because: Option<&'static str>,
+    /// Seconds of earlier attempts.
+    pub seconds_before: f64,
+}
+
+impl Task {
+    /// The whole of a stage that was not done before.
+    pub fn new(key: String) -> Self {
+        Self {
+            key,
+            because: None,
+            seconds_before: 0.0,
+        }
+    }
 }
 
 impl<'a> Workspace<'a> {
-    /// Creates or reuses a folder and records the start of the run with the input `file`.
+    /// Creates or reuses the folder `path` and records the start of the run.
     pub fn open(
         path: &Path,
-        file: &Path,
-        input: Input,
+        source: &Source<'_>,
         job: &'a Job<'a>,
         clock: Clock,
     ) -> Result<Self, Error> {
         let level = job.check()?;
         let gpu = job.device.choice.open(|why| job.observer.warn(why))?;
         let mut record = RunRecord::begin(
-            input,
+            source.input(),
             &job.settings,
             Device::here(level, gpu.as_ref().map(OpenGpu::name)),
         )?;
         let files = job.settings.geometry.files();
-        let inputs: Vec<&Path> = [file].into_iter().chain(files).collect();
+        let inputs: Vec<&Path> = [source.path].into_iter().chain(files).collect();
         let (results, earlier) = RunFolder::open(path, job.existing, &record, &inputs)?;
         let folder = results.path().to_path_buf();
         if let Some(earlier) = &earlier {
@@ -175,31 +185,27 @@ impl<'a> Workspace<'a> {
         self.folder.join(name)
     }
 
-    /// Returns whether a stage with this key is done and its files are unchanged.
-    pub fn task(&self, stage: &str, key: &str, files: &[&str]) -> Result<Task, Error> {
-        let Some(earlier) = self.record.stages.get(stage) else {
-            return Ok(Task::Work {
-                because: None,
-                seconds_before: 0.0,
-            });
+    /// Returns what is to be done for a stage; `None` where an earlier result has the same key and
+    /// its files are unchanged.
+    pub fn task(&self, stage: &str, key: String, files: &[&str]) -> Result<Option<Task>, Error> {
+        let (because, seconds_before) = match self.record.stages.get(stage) {
+            None => return Ok(Some(Task::new(key))),
+            Some(earlier) if earlier.key != key => (Some(self.why_again()), 0.0),
+            Some(earlier) if !earlier.done => (None, earlier.seconds),
+            Some(_) if self.intact(files)? => return Ok(None),
+            Some(_) => (Some("because its files are missing or were changed"), 0.0),
         };
-        let because = if earlier.key != key {
-            Some(self.why_again())
-        } else if !earlier.done {
-            None
-        } else if !self.intact(files)? {
-            Some("because its files are missing or were changed")
-        } else {
-            return Ok(Task::Reuse);
-        };
-        Ok(Task::Work {
+        Ok(Some(Task {
+            key,
             because,
-            seconds_before: if because.is_none() {
-                earlier.seconds
-            } else {
-                0.0
-            },
-        })
+            seconds_before,
+        }))
+    }
+
+    /// The hash of the scene of the run; empty before there is one.
+    pub fn scene_hash(&self) -> &str {
+        let scene = self.record.files.get(SCENE_FILE);
+        scene.map_or("", |file| &file.blake3)
     }
 
     fn why_again(&self) -> &'static str {
@@ -237,20 +243,19 @@ impl<'a> Workspace<'a> {
     pub fn stage<R>(
         &mut self,
         name: &'static str,
-        key: String,
-        (because, seconds): (Option<&'static str>, f64),
+        task: Task,
         files: &[&str],
         work: impl FnOnce(&mut Self, &RecordingObserver<'_>) -> Result<R, Error>,
     ) -> Result<R, Error> {
         let begun = StageRecord {
-            key,
+            key: task.key,
             done: false,
-            seconds,
+            seconds: task.seconds_before,
             peak_memory_bytes: None,
             warnings: Vec::new(),
         };
         self.record.stages.insert(name.to_owned(), begun);
-        stage::run(self, name, because, |run, recorder| {
+        stage::run(self, name, task.because, |run, recorder| {
             let result = work(run, recorder)?;
             for &file in files {
                 let written = FileRecord::of(&run.path(file))?;

@@ -69,11 +69,22 @@ pub fn write_rgb(path: &Path, image: &RgbImage) -> Result<(), WriteError> {
     )
 }
 
-/// Writes a depth map as a 16-bit PNG of `round(depth / unit)`.
+/// A depth map in steps of `unit`: `round(depth / unit)`.
 ///
-/// 0 = unknown is kept, as is every other value that is not above 0; a known depth is stored as 1
-/// to 65535 steps, so depths outside of that range are moved to its ends. Fails when the extension
-/// is not `.png` or the file system refuses.
+/// 0 = unknown is kept, as is every other value that is not above 0; a known depth is 1 to 65535
+/// steps, so depths outside of that range are moved to its ends.
+pub(crate) fn depth_steps(depth: &DepthMap, unit: f64) -> Plane<u16> {
+    depth.map(|&z| {
+        if z > 0.0 {
+            (f64::from(z) / unit).round().clamp(1.0, 65535.0) as u16
+        } else {
+            0
+        }
+    })
+}
+
+/// Writes a depth map as a 16-bit PNG of `round(depth / unit)`, 1 to 65535 where it is known. Fails
+/// when the extension is not `.png` or the file system refuses.
 pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), WriteError> {
     if is_jpeg(path)? {
         return Err(WriteError::bad(
@@ -81,19 +92,7 @@ pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), Write
             "JPEG cannot store 16-bit depth; use .png",
         ));
     }
-    let steps = |z: f32| {
-        if z > 0.0 {
-            (f64::from(z) / unit).round().clamp(1.0, 65535.0) as u16
-        } else {
-            0
-        }
-    };
-    let bytes: Vec<u8> = depth
-        .data()
-        .iter()
-        .flat_map(|&z| steps(z).to_ne_bytes())
-        .collect();
-    save(path, &bytes, depth.size(), ExtendedColorType::L16)
+    save_steps(path, &depth_steps(depth, unit))
 }
 
 /// Writes a mask as an 8-bit PNG. Fails for other extensions and when the file system refuses.
@@ -110,12 +109,13 @@ pub fn write_ids(path: &Path, ids: &CompactIds) -> Result<(), WriteError> {
     if ids.largest() <= u16::from(u8::MAX) {
         return write_grey(path, &plane.map(|&id| id as u8));
     }
-    let bytes: Vec<u8> = plane
-        .data()
-        .iter()
-        .flat_map(|id| id.to_ne_bytes())
-        .collect();
-    save(path, &bytes, plane.size(), ExtendedColorType::L16)
+    save_steps(path, &plane)
+}
+
+/// Writes numbers of 16 bits as a greyscale image.
+fn save_steps(path: &Path, steps: &Plane<u16>) -> Result<(), WriteError> {
+    let bytes: Vec<u8> = steps.data().iter().flat_map(|v| v.to_ne_bytes()).collect();
+    save(path, &bytes, steps.size(), ExtendedColorType::L16)
 }
 
 /// Writes brightness as an 8-bit PNG. Fails for other extensions and when the file system refuses.

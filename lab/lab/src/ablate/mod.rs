@@ -169,10 +169,7 @@ pub fn ablate(
     options: &AblateOptions,
     job: &Job<'_>,
 ) -> Result<AblationReport, Error> {
-    if !input.exists() {
-        let what = "video, folder of images or capture";
-        return Err(minute4d::Error::missing(what, input).into());
-    }
+    minute4d::Error::unless_exists("video, folder of images or capture", input)?;
     job.check()?;
     let data = options.data.clone().unwrap_or_else(|| input.to_path_buf());
     if !data.join(Split::Test.file_name()).is_file() {

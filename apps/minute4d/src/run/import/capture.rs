@@ -2,7 +2,8 @@
 
 use super::{ImportJob, ImportOptions, STAGE};
 use crate::run::folder::CaptureFolder;
-use crate::run::record::{GeometryRecord, Input};
+use crate::run::record::{GeometryRecord, Source};
+use crate::run::stage;
 use m4_core::{Capture, CompactMask, Progress};
 use m4_io::capture::{self, Split};
 use m4_io::dataset::dycheck;
@@ -12,7 +13,7 @@ use m4_io::{ErrorKind, ReadError};
 use minute4d::json::plain_json;
 use minute4d::layout::COVISIBLE_FOLDER;
 use minute4d::observer::RecordingObserver;
-use minute4d::{Error, Observer, Refusal, Settings, hash};
+use minute4d::{Error, Observer, Refusal, Settings};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -72,17 +73,9 @@ pub(super) fn make(
         import: &options,
         format,
     })?;
-    let input = Input {
-        path: file.display().to_string(),
-        blake3: hash::of_input(file, None, observer)?,
-    };
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        &input.blake3,
-        &settings.to_string(),
-    ]);
-    let mut record = GeometryRecord::begin(input, key, settings);
+    let source = Source::read(file, None, observer)?;
+    let key = stage::key(STAGE, &[&source.blake3, &settings.to_string()]);
+    let mut record = GeometryRecord::begin(&source, key, settings);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     let beside = [

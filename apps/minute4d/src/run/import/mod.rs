@@ -16,12 +16,13 @@ pub use m4_io::dataset::{ImportOptions, SourceFormat};
 
 use crate::run::Clock;
 use crate::run::Job;
-use crate::run::record::{Input, RunRecord, SplatCount};
-use crate::run::workspace::Workspace;
+use crate::run::record::{Source, SplatCount};
+use crate::run::stage;
+use crate::run::workspace::{Task, Workspace};
 use m4_io::scene::{Imported, fourdgs, ply, safetensors};
 use minute4d::export::{Format, Losses};
 use minute4d::layout::{Existing, SCENE_FILE};
-use minute4d::{Error, Observer, Refusal, Settings, hash};
+use minute4d::{Error, Observer, Refusal, Settings};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -119,24 +120,16 @@ fn scene(
     if cameras == 0 {
         default_cameras(&mut scene, up);
     }
-    let input = Input {
-        path: file.display().to_string(),
-        blake3: hash::of_input(file, None, observer)?,
-    };
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        &input.blake3,
-        format.name(),
-    ]);
-    let record: RunRecord = Workspace::open(out, file, input, &job, Clock::start(&job.settings))?
-        .finish(|run| {
+    let source = Source::read(file, None, observer)?;
+    let key = stage::key(STAGE, &[&source.blake3, format.name()]);
+    let run = Workspace::open(out, &source, &job, Clock::start(&job.settings))?;
+    let record = run.finish(|run| {
         run.record.profile = STAGE.to_owned();
         run.record.splats = Some(SplatCount {
             r#static: scene.splats.n_static(),
             dynamic: scene.splats.n_dynamic(),
         });
-        run.stage(STAGE, key, (None, 0.0), &[SCENE_FILE], |run, keeper| {
+        run.stage(STAGE, Task::new(key), &[SCENE_FILE], |run, keeper| {
             use m4_core::Progress;
             for loss in &losses {
                 keeper.warn(&loss.to_string());
@@ -144,12 +137,8 @@ fn scene(
             if cameras == 0 {
                 keeper.warn("the file has no cameras; a default path around its centre is used");
             }
-            Ok(safetensors::write(
-                &run.path(SCENE_FILE),
-                &scene,
-                None,
-                &BTreeMap::new(),
-            )?)
+            let path = run.path(SCENE_FILE);
+            Ok(safetensors::write(&path, &scene, None, &BTreeMap::new())?)
         })
     })?;
     Ok(ImportReport {
