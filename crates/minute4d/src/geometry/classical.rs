@@ -128,21 +128,19 @@ struct Pass {
 
 impl<'a> Reconstruction<'a> {
     fn new(clip: &'a Clip, context: &'a Context<'a>) -> Result<Self, Error> {
-        let methods = context.methods;
+        let plan = context.plan;
         let (images, given) = (clip.images(), &clip.given);
-        let flow = methods.frontend.flow(
-            context.settings.megasam.flow_iterations,
-            &methods.device,
+        let flow = plan.frontend.flow(
+            context.settings().megasam.flow_iterations,
+            &plan.device,
             context.steps,
         )?;
-        let segmenter = methods.segmenter.load()?;
+        let segmenter = plan.segmenter.load()?;
         let mono = match given.depth {
             Some(_) => None,
-            None => {
-                methods
-                    .frontend
-                    .depth(&images, clip.focal_px, &methods.device, context.steps)?
-            }
+            None => plan
+                .frontend
+                .depth(&images, clip.focal_px, &plan.device, context.steps)?,
         };
         let mut config = clip.sparse.clone();
         if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
@@ -167,7 +165,7 @@ impl<'a> Reconstruction<'a> {
         let is_flat = |(_, recovered): &(FeatureTracks, Recovered)| {
             recovered.sparse.camera_motion != CameraMotion::Parallax
         };
-        let lacks_depth = self.context.methods.frontend.lacks_depth && self.given.depth.is_none();
+        let lacks_depth = self.context.plan.frontend.lacks_depth && self.given.depth.is_none();
         if lacks_depth && outcome.as_ref().is_ok_and(is_flat) {
             // before all other warnings of such a clip
             let warning = format!("this clip has no parallax to measure depth by: {DEPTH_WEIGHTS}");
@@ -221,7 +219,7 @@ impl<'a> Reconstruction<'a> {
 
     /// Sets the unit of length, and estimates depth, masks and tracks as the step `name`.
     fn pass(&self, name: &str, mut recovered: Recovered) -> Result<Pass, Error> {
-        let (settings, observer) = (self.context.settings, self.context.observer());
+        let (settings, observer) = (self.context.settings(), self.context.observer());
         for warning in &recovered.sparse.warnings {
             observer.warn(warning);
         }
@@ -266,7 +264,7 @@ impl<'a> Reconstruction<'a> {
 
     /// Grades the result, warns of a doubtful one, and describes it.
     fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
-        let (sparse, dense, methods) = (&pass.recovered.sparse, &pass.dense, self.context.methods);
+        let (sparse, dense, plan) = (&pass.recovered.sparse, &pass.dense, self.context.plan);
         let known_depth = self
             .given
             .depth
@@ -321,9 +319,9 @@ impl<'a> Reconstruction<'a> {
             points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
             moving_tracks: dense.tracks.as_ref().map_or(0, Tracks::count),
             moving_share: dynamic.count() as f64 / pixels.max(1) as f64,
-            frontend: methods.frontend.frontend.to_string(),
-            networks: methods.frontend.used.clone(),
-            segmenter: methods.segmenter.name().to_owned(),
+            frontend: plan.frontend.frontend.to_string(),
+            networks: plan.frontend.used.clone(),
+            segmenter: plan.segmenter.name().to_owned(),
             given: self.given.names(),
             rounds,
             confidence: Some(confidence),

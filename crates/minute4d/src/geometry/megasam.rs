@@ -22,9 +22,12 @@ pub(super) fn compute(
     mut clip: Clip,
     context: &Context<'_>,
 ) -> Result<(Capture, GeometrySummary), Error> {
-    let (settings, steps, observer) =
-        (&context.settings.megasam, context.steps, context.observer());
-    let (plan, device) = (&context.methods.frontend, &context.methods.device);
+    let (settings, steps, observer) = (
+        &context.settings().megasam,
+        context.steps,
+        context.observer(),
+    );
+    let (plan, device) = (&context.plan.frontend, &context.plan.device);
     let given = &clip.given;
     if given.cameras.is_some() {
         let message = "the front end megasam estimates the poses itself: omit given poses, or choose another front end";
@@ -141,7 +144,7 @@ fn summary(
     context: &Context<'_>,
     given_names: Vec<String>,
 ) -> GeometrySummary {
-    let plan = &context.methods.frontend;
+    let plan = &context.plan.frontend;
     let lens = geometry.lens;
     GeometrySummary {
         frames: capture.frames.len(),

@@ -44,11 +44,17 @@ use m4_geometry::masks::InstanceReport;
 use serde::Serialize;
 use std::path::Path;
 
-/// The settings and methods of a reconstruction.
+/// The settings of a reconstruction and the methods that they come to: which weights are installed,
+/// and the device of networks.
 #[derive(Debug)]
 pub struct Plan {
     settings: Settings,
-    methods: Methods,
+    frontend: frontend::Plan,
+    /// Sharpens the masks of the classical front end.
+    segmenter: Resolved,
+    /// What is done to the capture afterwards.
+    enhance: enhance::Plan,
+    device: NetworkDevice,
 }
 
 impl Plan {
@@ -62,8 +68,35 @@ impl Plan {
         // flow tracks are computed with the depth, unless another method tracks points afterwards
         settings.dense.tracks &=
             !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
-        let methods = Methods::resolve(&settings.geometry, device)?;
-        Ok(Self { settings, methods })
+        let options = &settings.geometry;
+        let frontend = frontend::plan(&options.frontend, device)?;
+        // Masks are made of MegaSaM's map of motion afterwards.
+        let (asked, before) = match frontend.is_megasam() {
+            true => (Segmenter::None, Before::Motion),
+            false => (options.segmenter, Before::Classical),
+        };
+        let segmenter = resolve_segmenter(asked)?;
+        // Masks that the user gave stay.
+        let refined = if options.masks.is_some() {
+            Segmenter::None
+        } else {
+            options.segmenter
+        };
+        let enhance = enhance::Plan::of(refined, options.tracker, before)?;
+        let device = if frontend.used.is_empty() && !enhance.has_network() {
+            // A GPU that is not needed is not started, and does not count as a difference between
+            // results.
+            NetworkDevice::processor()
+        } else {
+            device.for_networks()?
+        };
+        Ok(Self {
+            settings,
+            frontend,
+            segmenter,
+            enhance,
+            device,
+        })
     }
 
     /// What the result depends on besides the frames.
@@ -72,13 +105,13 @@ impl Plan {
     ///
     /// [`Error`] with the file of the user's that is missing or cannot be read.
     pub fn dependencies(&self) -> Result<Dependencies<'_>, Error> {
-        let settings = &self.settings;
-        let Methods {
+        let Self {
+            settings,
             frontend,
             segmenter,
             enhance,
             device,
-        } = &self.methods;
+        } = self;
         Ok(Dependencies {
             video: &settings.video,
             sparse: &settings.sparse,
@@ -137,56 +170,12 @@ pub struct Dependencies<'a> {
     given: Sources,
 }
 
-/// The methods that the options come to: which weights are installed, and the device of networks.
-#[derive(Debug)]
-struct Methods {
-    frontend: frontend::Plan,
-    /// Sharpens the masks of the classical front end.
-    segmenter: Resolved,
-    /// What is done to the capture afterwards.
-    enhance: enhance::Plan,
-    device: NetworkDevice,
-}
-
-impl Methods {
-    /// Resolves `options`; fails if weights are missing, the build has no networks, or the GPU does
-    /// not start.
-    fn resolve(options: &GeometryOptions, device: DeviceChoice) -> Result<Self, Error> {
-        let frontend = frontend::plan(&options.frontend, device)?;
-        // Masks are made of MegaSaM's map of motion afterwards.
-        let (asked, before) = match frontend.is_megasam() {
-            true => (Segmenter::None, Before::Motion),
-            false => (options.segmenter, Before::Classical),
-        };
-        let segmenter = resolve_segmenter(asked)?;
-        // Masks that the user gave stay.
-        let refined = if options.masks.is_some() {
-            Segmenter::None
-        } else {
-            options.segmenter
-        };
-        let enhance = enhance::Plan::of(refined, options.tracker, before)?;
-        let device = if frontend.used.is_empty() && !enhance.has_network() {
-            // A GPU that is not needed is not started, and does not count as a difference between
-            // results.
-            NetworkDevice::processor()
-        } else {
-            device.for_networks()?
-        };
-        Ok(Self {
-            frontend,
-            segmenter,
-            enhance,
-            device,
-        })
-    }
-}
-
 /// What all parts of the stage use.
 #[derive(Clone, Copy)]
 struct Context<'a> {
-    settings: &'a Settings,
-    methods: &'a Methods,
+    /// The path of the clip.
+    input: &'a Path,
+    plan: &'a Plan,
     steps: Steps<'a>,
 }
 
@@ -194,6 +183,10 @@ impl<'a> Context<'a> {
     /// Receives progress and warnings, and says when to stop.
     fn observer(&self) -> &'a dyn Progress {
         self.steps.observer()
+    }
+
+    fn settings(&self) -> &'a Settings {
+        &self.plan.settings
     }
 }
 
@@ -204,20 +197,15 @@ impl<'a> Context<'a> {
 ///
 /// [`Error`]: the clip cannot be read, nothing can be reconstructed, or a stop was requested.
 pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruction, Error> {
-    let Plan { settings, methods } = plan;
     let observer = steps.observer();
-    for note in &methods.frontend.notes {
+    for note in &plan.frontend.notes {
         observer.warn(note);
     }
-    let context = Context {
-        settings,
-        methods,
-        steps,
-    };
-    let between = Between::of(settings, &methods.frontend);
-    let mut clip = Clip::read(input, between, &context)?;
+    let context = Context { input, plan, steps };
+    let between = Between::of(&plan.settings, &plan.frontend);
+    let mut clip = Clip::read(between, &context)?;
     let footage = clip.footage.take();
-    let (capture, mut summary) = match methods.frontend.is_megasam() {
+    let (capture, mut summary) = match plan.frontend.is_megasam() {
         #[cfg(feature = "nets")]
         true => megasam::compute(clip, &context)?,
         _ => classical::compute(clip, &context)?,
@@ -225,11 +213,11 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
     let capture = between.keep(capture, observer)?;
     summary.frames = capture.frames.len();
     summary.footage = footage;
-    let plan = &methods.enhance;
-    let (capture, objects) = enhance::apply(capture, plan, settings, &methods.device, steps)?;
-    summary.networks.extend(plan.used.iter().cloned());
+    let enhance = &plan.enhance;
+    let (capture, objects) = enhance::apply(capture, enhance, &plan.settings, &plan.device, steps)?;
+    summary.networks.extend(enhance.used.iter().cloned());
     if objects.is_some() {
-        plan.segmenter().clone_into(&mut summary.segmenter);
+        enhance.segmenter().clone_into(&mut summary.segmenter);
         summary.moving_share = enhance::moving_share(&capture).unwrap_or(0.0);
     }
     if let Some(tracks) = &capture.tracks {

@@ -4,14 +4,13 @@
 
 mod words;
 
-use super::clip::Between;
-use crate::{Error, Refusal, Settings};
+use super::Context;
+use crate::{Error, Refusal};
 use m4_core::{Plane, Progress, RgbImage, Video, VideoFrame};
 use m4_geometry::inspect::{Exposure, Overlays, Reason, Rectangle, Shot, Shown, Timeline, bars};
 use m4_io::video::{VideoOptions, evenly};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// What a clip has besides one continuous take, and what was done about it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -74,13 +73,11 @@ impl Chosen {
 /// Chooses and cleans the frames of `video`, which was read from `input`. Fails where there is no
 /// shot of the number that was asked for.
 pub(super) fn choose(
-    input: &Path,
     video: Video,
-    between: Between,
-    settings: &Settings,
-    observer: &dyn Progress,
+    options: &VideoOptions,
+    context: &Context<'_>,
 ) -> Result<Chosen, Error> {
-    let options = between.to_read(&settings.video);
+    let observer = context.observer();
     let thinned = options.max_frames.is_some_and(|n| n < video.in_range);
     let overview = if thinned {
         let small = VideoOptions {
@@ -88,7 +85,7 @@ pub(super) fn choose(
             size: Some(INSPECTED_PX),
             ..options.clone()
         };
-        Some(m4_io::video::read(input, &small, observer)?)
+        Some(m4_io::video::read(context.input, &small, observer)?)
     } else {
         None
     };
@@ -98,7 +95,7 @@ pub(super) fn choose(
     let times_s: Vec<f64> = inspected.frames.iter().map(|f| f.time_s).collect();
     let timeline = Timeline::new(&images, &times_s);
     observer.update("inspect clip", 1, 1, "");
-    let used = chosen_shot(&timeline, settings.geometry.shot)?;
+    let used = chosen_shot(&timeline, context.settings().geometry.shot)?;
     let shot = &timeline.shots[used];
     let mut footage = Footage {
         shots: timeline.shots.iter().map(Shot::span_s).collect(),
@@ -125,14 +122,8 @@ pub(super) fn choose(
         let shown = nearest(&video.frames, &times_s, &shot.frames);
         (video, shown)
     } else {
-        frames_of(
-            input,
-            video,
-            overview.is_some(),
-            (shot, &times_s),
-            &options,
-            observer,
-        )?
+        let again = overview.is_some().then_some(options);
+        frames_of(video, again, (shot, &times_s), context)?
     };
     let area = footage.crop(&mut video, observer);
     footage.clean(&mut video, &shown, observer);
@@ -179,25 +170,19 @@ fn nearest(frames: &[VideoFrame], times_s: &[f64], shown: &[Shown]) -> Vec<Shown
 
 /// The frames of a shot: those of `video`, or, if it was thinned, read again.
 fn frames_of(
-    input: &Path,
     video: Video,
-    thinned: bool,
+    again: Option<&VideoOptions>,
     (shot, times_s): (&Shot, &[f64]),
-    options: &VideoOptions,
-    observer: &dyn Progress,
+    context: &Context<'_>,
 ) -> Result<(Video, Vec<Shown>), Error> {
-    let mut video = if thinned {
+    let mut video = if let Some(options) = again {
         let shown = evenly(shot.frames.len(), options.max_frames);
-        let again = VideoOptions {
-            times_s: Some(
-                shown
-                    .iter()
-                    .map(|&i| times_s[shot.frames[i].index])
-                    .collect(),
-            ),
+        let time_s = |&i: &usize| times_s[shot.frames[i].index];
+        let of_shot = VideoOptions {
+            times_s: Some(shown.iter().map(time_s).collect()),
             ..options.clone()
         };
-        m4_io::video::read(input, &again, observer)?
+        m4_io::video::read(context.input, &of_shot, context.observer())?
     } else {
         let mut frames: Vec<Option<VideoFrame>> = video.frames.into_iter().map(Some).collect();
         let kept = shot.frames.iter().filter_map(|f| frames[f.index].take());
