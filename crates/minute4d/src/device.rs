@@ -1,8 +1,9 @@
 //! The device that kernels run on: CPU or GPU.
 
-pub use gpu::{GpuPainter, OpenGpu};
+pub use gpu::OpenGpu;
 
 use crate::Error;
+use m4_kernels::{Frame, View};
 use std::fmt;
 use std::str::FromStr;
 
@@ -140,18 +141,20 @@ impl NetworkDevice {
     }
 }
 
+/// Draws a view on a GPU.
+pub(crate) type Draw = dyn FnMut(&View) -> Result<Frame, Error>;
+
 #[cfg(feature = "gpu")]
 mod gpu {
     //! An open GPU.
 
-    use super::NetworkDevice;
+    use super::{Draw, NetworkDevice};
     use crate::Error;
     use m4_core::{Capture, SplatLayout, Splats};
     #[cfg(feature = "nets")]
     use m4_kernels::gpu::Runtime;
     use m4_kernels::gpu::{Choice, Gpu, adapters, automatic};
     use m4_kernels::renderer::gpu::Renderer;
-    use m4_kernels::{Frame, View};
     use m4_train::TrainConfig;
     use m4_train::backend::{Backend, gpu::GpuBackend};
 
@@ -205,10 +208,9 @@ mod gpu {
         }
 
         /// Draws `splats` on it.
-        pub fn painter(&self, splats: &Splats) -> Result<GpuPainter, Error> {
-            Ok(GpuPainter {
-                renderer: Renderer::new(self.gpu.clone(), splats)?,
-            })
+        pub(crate) fn painter(&self, splats: &Splats) -> Result<Box<Draw>, Error> {
+            let mut renderer = Renderer::new(self.gpu.clone(), splats)?;
+            Ok(Box::new(move |view| Ok(renderer.render(view)?)))
         }
 
         /// Takes the steps of a training by `config` on it, within `max_vram_mb`.
@@ -235,19 +237,6 @@ mod gpu {
             drop(done.map(|()| self.gpu.give_back()));
         }
     }
-
-    /// Draws splats that lie on a GPU.
-    #[derive(Debug)]
-    pub struct GpuPainter {
-        renderer: Renderer,
-    }
-
-    impl GpuPainter {
-        /// The image of `view`.
-        pub fn frame(&mut self, view: &View) -> Result<Frame, Error> {
-            Ok(self.renderer.render(view)?)
-        }
-    }
 }
 
 #[cfg(not(feature = "gpu"))]
@@ -256,7 +245,6 @@ mod gpu {
 
     use crate::Error;
     use m4_core::{Capture, SplatLayout, Splats};
-    use m4_kernels::{Frame, View};
     use m4_train::{Backend, TrainConfig};
 
     /// A GPU that was started; there is none in this build.
@@ -286,8 +274,7 @@ mod gpu {
             match *self {}
         }
 
-        /// Draws `splats` on it.
-        pub fn painter(&self, _: &Splats) -> Result<GpuPainter, Error> {
+        pub(crate) fn painter(&self, _: &Splats) -> Result<Box<super::Draw>, Error> {
             match *self {}
         }
 
@@ -303,17 +290,6 @@ mod gpu {
             _: &TrainConfig,
             _: Option<usize>,
         ) {
-            match *self {}
-        }
-    }
-
-    /// What draws on a GPU; there is none in this build.
-    #[derive(Debug)]
-    pub enum GpuPainter {}
-
-    impl GpuPainter {
-        /// The image of `view`.
-        pub fn frame(&mut self, _: &View) -> Result<Frame, Error> {
             match *self {}
         }
     }

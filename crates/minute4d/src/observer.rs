@@ -72,10 +72,12 @@ impl Observer for m4_core::Silent {}
 pub type RecordingObserver<'a> = Recording<'a, dyn Observer + 'a>;
 
 /// Forwards everything to an observer or another [`Progress`], and keeps the warnings for the
-/// record.
+/// record, or until they are released.
 pub struct Recording<'a, P: ?Sized> {
     observer: &'a P,
     warnings: Mutex<Vec<String>>,
+    /// Whether warnings are passed on at once.
+    warns: bool,
     until: Option<Instant>,
 }
 
@@ -86,8 +88,23 @@ impl<'a, P: Progress + ?Sized> Recording<'a, P> {
         Self {
             observer,
             warnings: Mutex::new(Vec::new()),
+            warns: true,
             until: None,
         }
+    }
+
+    /// Creates one that keeps warnings back.
+    pub(crate) fn holding(observer: &'a P) -> Self {
+        Self {
+            warns: false,
+            ..Self::new(observer)
+        }
+    }
+
+    /// Passes on the warnings that were kept back.
+    pub(crate) fn release(self) {
+        let warnings = self.warnings();
+        warnings.iter().for_each(|w| self.observer.warn(w));
     }
 
     /// Like [`new`](Self::new), but asks to stop after `end`.
@@ -118,7 +135,9 @@ impl<P: Progress + ?Sized> Progress for Recording<'_, P> {
         }
         warnings.push(message.to_owned());
         drop(warnings);
-        self.observer.warn(message);
+        if self.warns {
+            self.observer.warn(message);
+        }
     }
 
     fn cancelled(&self) -> bool {

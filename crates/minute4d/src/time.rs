@@ -1,5 +1,6 @@
 //! Parses the scene time of a camera path.
 
+use m4_core::Scene;
 use std::fmt;
 use std::str::FromStr;
 
@@ -125,6 +126,14 @@ pub struct Span {
 }
 
 impl Span {
+    /// That of a scene.
+    pub fn of(scene: &Scene) -> Self {
+        Self {
+            time_frames: scene.time_frames,
+            duration_s: scene.duration_s,
+        }
+    }
+
     fn last(&self) -> usize {
         self.time_frames.saturating_sub(1)
     }

@@ -2,7 +2,7 @@
 
 use m4_core::advice::{REPLACE, RESUME};
 use m4_io::ErrorKind;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The category of a failure, which determines the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -101,6 +101,15 @@ pub enum OutputError {
         /// The difference.
         what: String,
     },
+}
+
+impl OutputError {
+    /// Says that `path` would be replaced.
+    pub(crate) fn would_replace(path: &Path) -> Self {
+        Self::WouldReplace {
+            path: path.to_path_buf(),
+        }
+    }
 }
 
 /// A request or an input that cannot be used: what is wrong, where, and what to do next.

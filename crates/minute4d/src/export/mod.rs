@@ -69,12 +69,7 @@ pub fn scene(
     if job.format.takes_capture() {
         return Err(write::needs_capture(job.format).into());
     }
-    if !job.replace && occupied(out) {
-        return Err(OutputError::WouldReplace {
-            path: out.to_path_buf(),
-        }
-        .into());
-    }
+    check_free(out, job)?;
     scene_as(scene, out, job, observer)
 }
 
@@ -86,14 +81,11 @@ pub fn scene(
 /// or the file cannot be written.
 pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     job.check()?;
-    let lone_capture = is_capture(input) && !input.join(SCENE_FILE).is_file();
-    if job.format.takes_capture() {
-        if is_capture(input) {
-            return write::make_capture(input, job, observer);
-        }
+    let (takes_capture, is_capture) = (job.format.takes_capture(), is_capture(input));
+    if takes_capture && !is_capture {
         return Err(write::needs_capture(job.format).into());
     }
-    if lone_capture {
+    if !takes_capture && is_capture && !input.join(SCENE_FILE).is_file() {
         return Err(Refusal::bad_input(format!(
             "{} is a capture, which the format {} cannot store; choose colmap, or train it first",
             input.display(),
@@ -111,8 +103,9 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
         Some(out) => out.clone(),
         None => home.join(job.format.file_name()),
     };
-    if !job.replace && occupied(&out) {
-        return Err(OutputError::WouldReplace { path: out }.into());
+    check_free(&out, job)?;
+    if takes_capture {
+        return write::make_capture(input, out, job, observer);
     }
     if job.format.time() != Time::Sequence {
         results::check_target(&out, &[&file])?;
@@ -167,14 +160,10 @@ impl ExportJob {
     /// The moments that are written, frames: one, or those of a sequence; none for a format with
     /// time.
     fn moments(&self, scene: &Scene) -> Result<Vec<f64>, Error> {
-        let span = Span {
-            time_frames: scene.time_frames,
-            duration_s: scene.duration_s,
-        };
         let last = scene.time_frames.saturating_sub(1) as f64;
         match self.format.time() {
             Time::Instant => Ok(vec![match self.time {
-                Some(moment) => span.frames(moment)?,
+                Some(moment) => Span::of(scene).frames(moment)?,
                 None => (last / 2.0).round(),
             }]),
             Time::Sequence => {
@@ -190,11 +179,15 @@ impl ExportJob {
     }
 }
 
-/// True for a file, and for a folder with something in it.
-fn occupied(path: &Path) -> bool {
-    match std::fs::read_dir(path) {
+/// Refuses a file, and a folder with something in it, that may not be replaced.
+fn check_free(path: &Path, job: &ExportJob) -> Result<(), OutputError> {
+    let is_occupied = match std::fs::read_dir(path) {
         Ok(mut entries) => entries.next().is_some(),
         Err(_) => path.exists(),
+    };
+    match is_occupied && !job.replace {
+        true => Err(OutputError::would_replace(path)),
+        false => Ok(()),
     }
 }
 

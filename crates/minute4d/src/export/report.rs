@@ -83,27 +83,6 @@ impl ExportReport {
             path: written.path,
         }
     }
-
-    /// What was written of a capture.
-    pub(super) fn of_capture(
-        format: Format,
-        path: PathBuf,
-        bytes: u64,
-        losses: Losses,
-        encode_s: f64,
-    ) -> Self {
-        Self {
-            format,
-            path,
-            bytes,
-            splats: 0,
-            bytes_per_splat: None,
-            bytes_per_s: None,
-            moments: Vec::new(),
-            encode_s,
-            losses,
-        }
-    }
 }
 
 impl fmt::Display for ExportReport {

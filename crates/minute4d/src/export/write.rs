@@ -1,7 +1,6 @@
 //! Writes files of splats, and captures for COLMAP.
 
-use super::{ExportJob, ExportReport, Format, Losses, occupied};
-use crate::error::OutputError;
+use super::{ExportJob, ExportReport, Format, Losses};
 use crate::{Error, Observer, Refusal, Settings};
 use m4_core::Scene;
 use m4_io::ErrorKind;
@@ -9,7 +8,7 @@ use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::dataset::colmap;
 use m4_io::scene::{Loss, Written, fourdgs, ftgs, gltf, ply, splatv, spz};
 use m4_kernels::pose;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Writes `scene` to `out`; `moments` are those of [`ExportJob::moments`].
@@ -64,18 +63,10 @@ pub(super) fn needs_capture(format: Format) -> Refusal {
 
 pub(super) fn make_capture(
     input: &Path,
+    out: PathBuf,
     job: &ExportJob,
     observer: &dyn Observer,
 ) -> Result<ExportReport, Error> {
-    let name = job.format.file_name();
-    let out = match &job.out {
-        Some(out) => out.clone(),
-        None if input.is_dir() => input.join(name),
-        None => input.parent().unwrap_or(Path::new("")).join(name),
-    };
-    if !job.replace && occupied(&out) {
-        return Err(OutputError::WouldReplace { path: out }.into());
-    }
     let options = CaptureOptions {
         reach: job.reach,
         ..Settings::fast().capture
@@ -91,14 +82,17 @@ pub(super) fn make_capture(
     if input.join(Split::Test.file_name()).is_file() {
         losses.dropped.push("held-out views".to_owned());
     }
-    let seconds = start.elapsed().as_secs_f64();
-    Ok(ExportReport::of_capture(
-        job.format,
-        out,
-        written.bytes,
+    Ok(ExportReport {
+        format: job.format,
+        path: out,
+        bytes: written.bytes,
+        splats: 0,
+        bytes_per_splat: None,
+        bytes_per_s: None,
+        moments: Vec::new(),
+        encode_s: start.elapsed().as_secs_f64(),
         losses,
-        seconds,
-    ))
+    })
 }
 
 const STOPPED: Error = Error::Stopped {

@@ -12,15 +12,15 @@ use super::iterate;
 use super::lens;
 use crate::Error;
 use crate::cache::Steps;
+use crate::observer::Recording;
 use m4_core::advice::DEPTH_WEIGHTS;
-use m4_core::{Camera, Capture, Progress, RgbImage, Tracks};
+use m4_core::{Camera, Capture, RgbImage, Tracks};
 use m4_geometry::FrameRate;
 use m4_geometry::classical::CameraMotion;
 use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, estimate};
 use m4_geometry::classical::sparse::{
     self, FeatureTracks, RadialDistortion, Recovered, SparseConfig,
 };
-use std::sync::{Mutex, PoisonError};
 
 /// Reconstructs `clip`.
 pub(super) fn compute(
@@ -66,43 +66,6 @@ fn attempt(
     }
     reconstruction.config.pinhole = true;
     reconstruction.run(&followed, recovered).map(Ok)
-}
-
-/// Passes progress on, and warnings when it is released.
-struct HeldWarnings<'a> {
-    observer: &'a dyn Progress,
-    warnings: Mutex<Vec<String>>,
-}
-
-impl<'a> HeldWarnings<'a> {
-    fn new(observer: &'a dyn Progress) -> Self {
-        Self {
-            observer,
-            warnings: Mutex::default(),
-        }
-    }
-
-    fn release(self) {
-        let warnings = self.warnings.into_inner();
-        for warning in warnings.unwrap_or_else(PoisonError::into_inner) {
-            self.observer.warn(&warning);
-        }
-    }
-}
-
-impl Progress for HeldWarnings<'_> {
-    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
-        self.observer.update(phase, done, total, note);
-    }
-
-    fn warn(&self, message: &str) {
-        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
-        warnings.push(message.to_owned());
-    }
-
-    fn cancelled(&self) -> bool {
-        self.observer.cancelled()
-    }
 }
 
 /// A clip with the sources of flow, masks and depth.
@@ -160,7 +123,7 @@ impl<'a> Reconstruction<'a> {
 
     /// Tracks and cameras, with the advice that comes before all warnings.
     fn first_cameras(&self) -> Result<(FeatureTracks, Recovered), Error> {
-        let held = HeldWarnings::new(self.context.observer());
+        let held = Recording::holding(self.context.observer());
         let outcome = self.cameras(self.context.steps.observed_by(&held));
         let is_flat = |(_, recovered): &(FeatureTracks, Recovered)| {
             recovered.sparse.camera_motion != CameraMotion::Parallax

@@ -6,7 +6,8 @@
 
 use crate::Error;
 use crate::cache::Steps;
-use m4_core::{Mask, Plane, Progress, Sim3, median, nalgebra::Vector3};
+use crate::observer::Recording;
+use m4_core::{Mask, Plane, Sim3, median, nalgebra::Vector3};
 use m4_geometry::classical::dense::DenseFrame;
 use m4_geometry::classical::sparse::{FeatureTracks, Recovered, SparseConfig, SparseError};
 use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
@@ -47,7 +48,7 @@ pub(super) fn without_masked(
         // The warnings of the second pass repeat those of the first, or are given when its result
         // is used.
         let second = steps.keep("second-cameras", |observer| {
-            match followed.recover(Some(&masks), config, &NoWarnings(observer)) {
+            match followed.recover(Some(&masks), config, &Recording::holding(observer)) {
                 Err(stop @ SparseError::Cancelled) => Err(stop),
                 other => Ok(other
                     .ok()
@@ -68,21 +69,6 @@ pub(super) fn without_masked(
         frame.mask = mask;
     }
     Ok(result)
-}
-
-/// Passes on all but warnings.
-struct NoWarnings<'a>(&'a dyn Progress);
-
-impl Progress for NoWarnings<'_> {
-    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
-        self.0.update(phase, done, total, note);
-    }
-
-    fn warn(&self, _: &str) {}
-
-    fn cancelled(&self) -> bool {
-        self.0.cancelled()
-    }
 }
 
 /// How a second reconstruction differs from the first.

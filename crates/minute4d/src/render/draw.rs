@@ -2,12 +2,11 @@
 
 mod images;
 
-use super::Stop;
-use crate::device::OpenGpu;
+use crate::device::{Draw, OpenGpu};
 use crate::error::OutputError;
 use crate::{Error, Observer, Refusal};
 use images::ImageWriters;
-use m4_core::{Camera, Exposure, Plane, RgbImage, Scene};
+use m4_core::{Camera, Exposure, Plane, RgbImage, Scene, SourceFrame};
 use m4_io::image;
 use m4_io::results::{self, Kind, ResultFolder};
 use m4_io::video::Mp4Writer;
@@ -96,16 +95,13 @@ pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
 pub struct SceneRenderer<'a> {
     scene: &'a Scene,
     painter: Painter<'a>,
-    on_gpu: Option<OnGpu<'a>>,
+    on_gpu: Option<OnGpu>,
     observer: &'a dyn Observer,
 }
 
-/// Draws a view.
-type Draw<'a> = dyn FnMut(&View) -> Result<Frame, Error> + 'a;
-
 /// What draws on a GPU.
-struct OnGpu<'a> {
-    frame: Box<Draw<'a>>,
+struct OnGpu {
+    frame: Box<Draw>,
     /// Whether the CPU may take over.
     automatic: bool,
 }
@@ -131,12 +127,9 @@ impl<'a> SceneRenderer<'a> {
         };
         if let Some(gpu) = gpu {
             match gpu.painter(&scene.splats) {
-                Ok(mut painter) => {
-                    let frame = Box::new(move |view: &View| painter.frame(view));
-                    out.on_gpu = Some(OnGpu {
-                        frame,
-                        automatic: gpu.is_automatic(),
-                    });
+                Ok(frame) => {
+                    let automatic = gpu.is_automatic();
+                    out.on_gpu = Some(OnGpu { frame, automatic });
                 }
                 Err(error) if gpu.is_automatic() => out.leave_gpu(&error),
                 Err(error) => return Err(error),
@@ -240,16 +233,13 @@ impl Sink {
         }
         results::check_target(out, inputs)?;
         if out.exists() && !replace {
-            return Err(OutputError::WouldReplace {
-                path: out.to_path_buf(),
-            }
-            .into());
+            return Err(OutputError::would_replace(out).into());
         }
         Ok(())
     }
 
     /// Makes the place for the images of `stops`.
-    pub fn open(out: &Path, stops: &[Stop], fps: f64, replace: bool) -> Result<Self, Error> {
+    pub fn open(out: &Path, stops: &[SourceFrame], fps: f64, replace: bool) -> Result<Self, Error> {
         let path = out.to_path_buf();
         let extension = extension(out);
         if IMAGE_EXTENSIONS.contains(&extension.as_str()) {

@@ -9,7 +9,7 @@ mod swing;
 
 pub use draw::{Painter, SceneRenderer, to_rgb, view};
 pub use options::PathOptions;
-pub use path::{CameraPath, Plan, SourcePath, Stop};
+pub use path::{CameraPath, Plan, SourcePath};
 pub use region::Region;
 pub use spline::{PoseSpline, Spline};
 pub use swing::{SWING_FRAMES, swing};
@@ -18,6 +18,7 @@ pub use crate::time::{DEFAULT_FPS, Moment, Span, TimeError, TimePath};
 
 use crate::device::DeviceChoice;
 use crate::layout::SCENE_FILE;
+use crate::observer::check_stop;
 use crate::{Error, Observer, Refusal};
 use draw::Sink;
 use m4_core::{Intrinsics, Scene};
@@ -69,7 +70,7 @@ impl RenderJob {
     pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>) -> Result<Plan, Error> {
         let mut plan = self.path.plan(scene, painter, self)?;
         let own: Vec<f64> = plan.stops.iter().map(|stop| stop.t).collect();
-        let moments = self.time.moments(&own, plan.fps, &path::span(scene))?;
+        let moments = self.time.moments(&own, plan.fps, &Span::of(scene))?;
         for (stop, t) in plan.stops.iter_mut().zip(moments) {
             stop.t = t;
             if let Some(size) = self.size {
@@ -125,12 +126,7 @@ pub fn make(
     let stops = &plan.stops;
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
     for (i, stop) in stops.iter().enumerate() {
-        if observer.cancelled() {
-            return Err(Error::Stopped {
-                stage: "render",
-                saved: false,
-            });
-        }
+        check_stop(observer, "render", false)?;
         let image = renderer.image(&stop.camera, stop.t, &stop.exposure)?;
         sink.push(image)?;
         observer.update("render", i + 1, stops.len(), "");

@@ -1,8 +1,8 @@
 //! The region in which a camera may move: the view of its start, and the positions of the source
 //! camera.
 
-use super::{Painter, Stop};
-use m4_core::{Column, Scene, nalgebra::Vector3};
+use super::Painter;
+use m4_core::{Column, Scene, SourceFrame, nalgebra::Vector3};
 use m4_kernels::pose;
 
 /// Share of the source cameras that counts as the reach of the source.
@@ -16,7 +16,7 @@ const LEAST_MOVING: usize = 50;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Region {
     /// The start of a path.
-    pub stop: Stop,
+    pub stop: SourceFrame,
     /// Median z-depth of dynamic regions in the image, or of the whole image where nothing does;
     /// world units.
     pub distance: f64,
@@ -26,7 +26,7 @@ pub struct Region {
 
 impl Region {
     /// The surroundings of a camera of the scene. Where it sees nothing, the distance is one unit.
-    pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: Stop) -> Self {
+    pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: SourceFrame) -> Self {
         let all = painter.median_depth(&stop.camera, stop.t).unwrap_or(1.0);
         // The dynamic part is what one looks at, and what bears a turn of the camera least: the
         // turn is about it.
@@ -49,7 +49,7 @@ impl Region {
 }
 
 /// Median z-depth of the dynamic splats that the camera sees; `None` where there are next to none.
-fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
+fn moving_depth(scene: &Scene, stop: &SourceFrame) -> Option<f64> {
     let splats = &scene.splats;
     let n_static = splats.n_static();
     let column = |column, offset| splats.column(column, offset);
@@ -89,7 +89,7 @@ fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
     m4_core::median(&mut depths)
 }
 
-fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
+fn reach(stop: &SourceFrame, centres: &[Vector3<f64>]) -> f64 {
     let side = stop.camera.c2w.rotation.column(0);
     let mut ways: Vec<f64> = centres
         .iter()
@@ -105,7 +105,7 @@ fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::moving_depth;
-    use crate::render::Stop;
+    use m4_core::SourceFrame;
     use m4_core::{
         Binding, Camera, Column, Exposure, Intrinsics, Pose, Se3, SplatLayout, Splats, Window,
     };
@@ -133,7 +133,7 @@ mod tests {
         splats.column_mut(Column::LogTimeSd, 0).fill(1.0);
         splats.column_mut(Column::Velocity, 2)[..60].fill(0.5);
         let mut scene = m4_testkit::bare_scene(splats, 31);
-        let stop = Stop {
+        let stop = SourceFrame {
             camera: Camera {
                 intrinsics: Intrinsics::centred(64, 48, 50.0),
                 c2w: Se3::identity(),
@@ -142,7 +142,7 @@ mod tests {
             exposure: Exposure::IDENTITY,
         };
         assert_eq!(moving_depth(&scene, &stop), Some(4.0));
-        let later = Stop { t: 30.0, ..stop };
+        let later = SourceFrame { t: 30.0, ..stop };
         assert_eq!(moving_depth(&scene, &later), Some(2.0));
         // bound splats are where nodes carry them, while they live
         let pose = Pose {
@@ -162,7 +162,7 @@ mod tests {
             .bind(Arc::new(vec![window]), vec![binding; 60])
             .unwrap();
         assert_eq!(moving_depth(&scene, &stop), Some(5.5));
-        assert_eq!(moving_depth(&scene, &Stop { t: 15.0, ..stop }), None);
+        assert_eq!(moving_depth(&scene, &SourceFrame { t: 15.0, ..stop }), None);
         scene.splats.column_mut(Column::Opacity, 0).fill(-6.0);
         assert_eq!(moving_depth(&scene, &stop), None, "nothing can be seen");
     }

@@ -1,10 +1,10 @@
 //! Cameras that swing around the centre of their view, and bullet time: plays, freezes time while
 //! the camera moves around, and plays on.
 
-use super::{PathOptions, Region, SourcePath, Stop};
+use super::{PathOptions, Region, SourcePath};
 use crate::Refusal;
 use m4_core::nalgebra::{Matrix3, Vector3};
-use m4_core::{Camera, Se3, exp_so3};
+use m4_core::{Camera, Se3, SourceFrame, exp_so3};
 use std::f64::consts::TAU;
 
 /// Greatest turn of a swing to either side, degrees. 6: beyond, dynamic regions, which were seen
@@ -158,7 +158,7 @@ impl Bullet {
         source: &SourcePath,
         region: &Region,
         options: &PathOptions,
-    ) -> Stop {
+    ) -> SourceFrame {
         let (source_s, round) = self.at(path_s);
         if round <= 0.0 || round >= 1.0 {
             return source.at(source.moment(source_s));
@@ -170,7 +170,7 @@ impl Bullet {
             side * phase.sin(),
             side.abs() * BULLET_UP_SHARE * (2.0 * phase).sin(),
         );
-        Stop {
+        SourceFrame {
             camera: orbit(&region.stop.camera, &region.pivot(), side, up),
             ..region.stop
         }

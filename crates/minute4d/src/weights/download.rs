@@ -2,9 +2,9 @@
 
 use super::network::{Answer, Failure, Head, Network};
 use super::{Entry, WeightsError};
+use crate::json::read_json;
 use crate::{Category, Refusal};
 use m4_core::Progress;
-use m4_io::files;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
@@ -136,16 +136,12 @@ impl Download<'_> {
     }
 
     fn unwritable(&self, source: std::io::Error) -> WeightsError {
-        WeightsError::Write {
-            path: self.part(),
-            source,
-        }
+        WeightsError::write(&self.part())(source)
     }
 
     /// What has arrived of the same address, and what was said of it.
     fn earlier(&self, url: &str) -> Option<(u64, Served)> {
-        let text = files::read(&self.record(), crate::json::MAX_RECORD_BYTES).ok()?;
-        let served: Served = serde_json::from_slice(&text).ok()?;
+        let served: Served = read_json(&self.record()).ok()??;
         let arrived = self.arrived();
         let usable = served.url == url && arrived > 0 && served.etag.is_some();
         usable.then_some((arrived, served))

@@ -2,9 +2,10 @@
 //! checksum.
 
 use super::{Entry, WeightsError};
+use crate::json::read_json;
 use crate::{Category, Refusal};
 use m4_core::Progress;
-use m4_io::files;
+use m4_io::{atomic, files};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::env;
@@ -145,12 +146,7 @@ impl Store {
 
     /// The record of `entry`; `None` if missing or unreadable.
     pub fn record(&self, entry: &Entry) -> Option<Record> {
-        let text = files::read(
-            &self.root.join(entry.name).join(RECORD),
-            crate::json::MAX_RECORD_BYTES,
-        )
-        .ok()?;
-        serde_json::from_slice(&text).ok()
+        read_json(&self.root.join(entry.name).join(RECORD)).ok()?
     }
 
     /// Reads the file of `entry` again and compares it with what was published, or else recorded.
@@ -158,12 +154,9 @@ impl Store {
         let Some(path) = self.installed(entry) else {
             return Ok(Condition::Absent);
         };
-        let failed = |source| WeightsError::Read {
-            path: path.clone(),
-            source,
-        };
+        let failed = WeightsError::read(&path);
         let file = files::open(&path).map_err(failed)?;
-        let sum = copy(file, io::sink(), None).map_err(|(_, error)| failed(error))?;
+        let sum = copy((file, failed), (io::sink(), failed), None)?;
         if let Err(error) = compare(entry, &path.display().to_string(), &sum) {
             return Ok(Condition::Damaged {
                 reason: error.to_string(),
@@ -192,10 +185,7 @@ impl Store {
         progress: &dyn Progress,
     ) -> Result<Scratch, WeightsError> {
         let downloads = self.root.join(".fetch");
-        let failed = |source| WeightsError::Write {
-            path: downloads.clone(),
-            source,
-        };
+        let failed = WeightsError::write(&downloads);
         let folder = downloads.join(entry.name);
         fs::create_dir_all(&folder).map_err(failed)?;
         // beside the folder, and never removed: a lock on a removed file locks nothing
@@ -229,20 +219,12 @@ impl Store {
         what: &str,
         source: &Source,
     ) -> Result<Record, WeightsError> {
-        let folder = self.root.join(entry.name);
-        let failed = |source| WeightsError::Write {
-            path: self.path(entry),
-            source,
-        };
+        let (folder, path) = (self.root.join(entry.name), self.path(entry));
+        let failed = WeightsError::write(&path);
         fs::create_dir_all(&folder).map_err(failed)?;
         let mut file = NamedTempFile::new_in(&folder).map_err(failed)?;
-        let sum = copy(from, &mut file, entry.bytes).map_err(|(side, error)| match side {
-            Side::Write => failed(error),
-            Side::Read => WeightsError::Read {
-                path: PathBuf::from(what),
-                source: error,
-            },
-        })?;
+        let unreadable = WeightsError::read(Path::new(what));
+        let sum = copy((from, unreadable), (&mut file, failed), entry.bytes)?;
         compare(entry, what, &sum)?;
         let source = Source {
             sha256: None,
@@ -251,8 +233,7 @@ impl Store {
         self.check_recorded(entry, &sum, &source)?;
         file.as_file().sync_all().map_err(failed)?;
         let record = self.write_record(entry, sum, source)?;
-        file.persist(self.path(entry))
-            .map_err(|error| failed(error.error))?;
+        file.persist(&path).map_err(|error| failed(error.error))?;
         Ok(record)
     }
 
@@ -263,12 +244,9 @@ impl Store {
         part: &Path,
         source: Source,
     ) -> Result<Record, WeightsError> {
-        let unreadable = |source| WeightsError::Read {
-            path: part.to_owned(),
-            source,
-        };
+        let unreadable = WeightsError::read(part);
         let file = files::open(part).map_err(unreadable)?;
-        let sum = copy(&file, io::sink(), None).map_err(|(_, error)| unreadable(error))?;
+        let sum = copy((&file, unreadable), (io::sink(), unreadable), None)?;
         compare(entry, &source.description, &sum)?;
         if let Some(expected) = source.sha256.as_ref().filter(|said| **said != sum.sha256) {
             return Err(differs(
@@ -278,15 +256,13 @@ impl Store {
                 &format!("SHA-256 {}", sum.sha256),
             ));
         }
-        let failed = |source| WeightsError::Write {
-            path: self.path(entry),
-            source,
-        };
+        let path = self.path(entry);
+        let failed = WeightsError::write(&path);
         self.check_recorded(entry, &sum, &source)?;
         file.sync_all().map_err(failed)?;
         fs::create_dir_all(self.root.join(entry.name)).map_err(failed)?;
         let record = self.write_record(entry, sum, source)?;
-        fs::rename(part, self.path(entry)).map_err(failed)?;
+        fs::rename(part, &path).map_err(failed)?;
         Ok(record)
     }
 
@@ -327,11 +303,8 @@ impl Store {
         sum: Sum,
         source: Source,
     ) -> Result<Record, WeightsError> {
-        let folder = self.root.join(entry.name);
-        let failed = |source| WeightsError::Write {
-            path: folder.join(RECORD),
-            source,
-        };
+        let path = self.root.join(entry.name).join(RECORD);
+        let failed = WeightsError::write(&path);
         let record = Record {
             name: entry.name.to_owned(),
             file: entry.file.to_owned(),
@@ -343,11 +316,7 @@ impl Store {
             commit: source.commit,
         };
         let text = serde_json::to_vec_pretty(&record).map_err(|error| failed(error.into()))?;
-        let mut beside = NamedTempFile::new_in(&folder).map_err(failed)?;
-        beside.write_all(&text).map_err(failed)?;
-        beside
-            .persist(folder.join(RECORD))
-            .map_err(|error| failed(error.error))?;
+        atomic::write(&path, &text).map_err(failed)?;
         Ok(record)
     }
 }
@@ -361,7 +330,13 @@ struct Sum {
 
 /// Copies all of `from` to `to` (at most `limit` bytes and one more, which tells that there are too
 /// many) and sums it up.
-fn copy(from: impl Read, mut to: impl Write, limit: Option<u64>) -> Result<Sum, (Side, io::Error)> {
+///
+/// Each end has the error of its failure.
+fn copy<R: Read, W: Write>(
+    (from, unreadable): (R, impl Fn(io::Error) -> WeightsError),
+    (mut to, unwritable): (W, impl Fn(io::Error) -> WeightsError),
+    limit: Option<u64>,
+) -> Result<Sum, WeightsError> {
     let mut from = from.take(limit.map_or(u64::MAX, |n| n + 1));
     let mut hasher = Sha256::new();
     let mut buffer = vec![0; 1 << 16];
@@ -371,11 +346,10 @@ fn copy(from: impl Read, mut to: impl Write, limit: Option<u64>) -> Result<Sum, 
             Ok(0) => break,
             Ok(n) => n,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(error) => return Err((Side::Read, error)),
+            Err(error) => return Err(unreadable(error)),
         };
         hasher.update(&buffer[..n]);
-        to.write_all(&buffer[..n])
-            .map_err(|error| (Side::Write, error))?;
+        to.write_all(&buffer[..n]).map_err(&unwritable)?;
         bytes += n as u64;
     }
     let mut sha256 = String::new();
@@ -383,13 +357,6 @@ fn copy(from: impl Read, mut to: impl Write, limit: Option<u64>) -> Result<Sum, 
         let _ = write!(sha256, "{byte:02x}");
     }
     Ok(Sum { bytes, sha256 })
-}
-
-/// The end of a copy that failed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Side {
-    Read,
-    Write,
 }
 
 /// Compares `sum` of the file `what` with what `entry` says.

@@ -1,11 +1,11 @@
 //! Interpolates cameras between the keyframes of a file.
 
-use super::{SourcePath, Stop};
+use super::SourcePath;
 use crate::render::spline::{PoseSpline, Spline};
 use crate::render::swing::looking;
 use crate::render::{Moment, Span, TimeError};
 use m4_core::{
-    Camera, Exposure, Intrinsics,
+    Camera, Exposure, Intrinsics, SourceFrame,
     nalgebra::{Vector1, Vector3},
 };
 use m4_io::trajectory::{KeyPose, Keyed, Keyframe, SceneTime};
@@ -73,11 +73,11 @@ impl KeyedPath {
     }
 
     /// The camera this many seconds after the first keyframe.
-    pub fn at(&self, path_s: f64) -> Stop {
+    pub fn at(&self, path_s: f64) -> SourceFrame {
         let time = self.start_s + path_s;
         let (width, height) = self.size;
         let focal_px = self.zoom.at(time).x.exp() * height as f64;
-        Stop {
+        SourceFrame {
             camera: Camera {
                 intrinsics: Intrinsics::centred(width, height, focal_px),
                 c2w: self.way.at(time),

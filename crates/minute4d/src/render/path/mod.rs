@@ -10,7 +10,7 @@ use super::swing::{Bullet, swing_camera};
 use super::{Painter, PathOptions, Region, RenderJob, Span, TimePath, source_fps};
 use crate::{Error, Refusal};
 use keyed::KeyedPath;
-use m4_core::{Camera, Exposure, Scene};
+use m4_core::{Exposure, Scene, SourceFrame};
 use m4_io::trajectory::{self, Trajectory};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -54,22 +54,11 @@ impl fmt::Display for CameraPath {
     }
 }
 
-/// A camera on a path.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stop {
-    /// Lens and pose.
-    pub camera: Camera,
-    /// The time of the camera, frames.
-    pub t: f64,
-    /// Colour correction of what it sees.
-    pub exposure: Exposure,
-}
-
 /// Every camera of a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// One per image.
-    pub stops: Vec<Stop>,
+    pub stops: Vec<SourceFrame>,
     /// Images a second.
     pub fps: f64,
 }
@@ -110,7 +99,7 @@ impl CameraPath {
             source: &source,
             options: &job.options,
             fps,
-            at: anchor(job, &span(scene))?,
+            at: anchor(job, &Span::of(scene))?,
         };
         Ok(Plan {
             stops: maker.stops(self, painter)?,
@@ -125,14 +114,6 @@ impl CameraPath {
         } else {
             super::DEFAULT_FPS
         }
-    }
-}
-
-/// The duration of a scene.
-pub fn span(scene: &Scene) -> Span {
-    Span {
-        time_frames: scene.time_frames,
-        duration_s: scene.duration_s,
     }
 }
 
@@ -181,12 +162,16 @@ struct Maker<'a> {
 }
 
 impl Maker<'_> {
-    fn stops(&self, path: &CameraPath, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
+    fn stops(
+        &self,
+        path: &CameraPath,
+        painter: &mut Painter<'_>,
+    ) -> Result<Vec<SourceFrame>, Refusal> {
         match path {
             // A file does not come here: it has no need of a maker.
             CameraPath::Train | CameraPath::File(_) => Ok(match self.options.at {
                 Some(_) => vec![self.source.at(self.at.unwrap_or(0.0))],
-                None => self.scene.source.iter().map(stop_of).collect(),
+                None => self.scene.source.clone(),
             }),
             CameraPath::Source => self.along(|t| self.source.at(t)),
             CameraPath::Stabilised => self.stabilised(painter),
@@ -196,7 +181,7 @@ impl Maker<'_> {
     }
 
     /// From the first to the last frame of the source, or the one moment that is asked for.
-    fn along(&self, stop: impl Fn(f64) -> Stop) -> Result<Vec<Stop>, Refusal> {
+    fn along(&self, stop: impl Fn(f64) -> SourceFrame) -> Result<Vec<SourceFrame>, Refusal> {
         if let (Some(t), Some(_)) = (self.at, self.options.at) {
             return Ok(vec![stop(t)]);
         }
@@ -209,7 +194,7 @@ impl Maker<'_> {
             .collect())
     }
 
-    fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
+    fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<SourceFrame>, Refusal> {
         let region = self.region(painter);
         let smoothed = source::stabilised(self.source, region.distance);
         self.along(|t| {
@@ -220,11 +205,11 @@ impl Maker<'_> {
     }
 
     /// About what one camera sees, in the moment of that camera.
-    fn swing(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
+    fn swing(&self, painter: &mut Painter<'_>) -> Result<Vec<SourceFrame>, Refusal> {
         let region = self.region(painter);
         let seconds = self.options.seconds.unwrap_or(SWING_S);
         let n = closed_frames(seconds, self.fps)?;
-        let stops = (0..n).map(|i| Stop {
+        let stops = (0..n).map(|i| SourceFrame {
             camera: swing_camera(&region, i as f64 / n as f64, self.options),
             t: region.stop.t,
             exposure: Exposure::IDENTITY,
@@ -232,7 +217,7 @@ impl Maker<'_> {
         Ok(stops.collect())
     }
 
-    fn bullet(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, Refusal> {
+    fn bullet(&self, painter: &mut Painter<'_>) -> Result<Vec<SourceFrame>, Refusal> {
         let region = self.region(painter);
         let (first, _) = self.source.span();
         let freeze_s = (region.stop.t - first) / self.source.frames_per_s;
@@ -254,14 +239,6 @@ impl Maker<'_> {
     }
 }
 
-fn stop_of(frame: &m4_core::SourceFrame) -> Stop {
-    Stop {
-        camera: frame.camera,
-        t: frame.t,
-        exposure: frame.exposure,
-    }
-}
-
 fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
     if path.extension().is_none() && !path.exists() {
         let (name, words) = (path.display().to_string(), WORDS.join(", "));
@@ -275,7 +252,7 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
             if job.options.seconds.is_some() {
                 return Err(unused("seconds", &path.display().to_string(), &[]).into());
             }
-            let stops = listed.into_iter().map(|(camera, t)| Stop {
+            let stops = listed.into_iter().map(|(camera, t)| SourceFrame {
                 camera,
                 t,
                 exposure: Exposure::IDENTITY,
@@ -287,7 +264,7 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
         }
         Trajectory::Keyed(keyed) => {
             let source = SourcePath::new(scene, &path.display().to_string())?;
-            let through = KeyedPath::new(&keyed, &source, &span(scene))?;
+            let through = KeyedPath::new(&keyed, &source, &Span::of(scene))?;
             let fps = job
                 .fps
                 .or(keyed.fps)

@@ -1,6 +1,5 @@
 //! The source camera, interpolated between its frames, and smoothed.
 
-use super::Stop;
 use crate::Refusal;
 use crate::render::DEFAULT_FPS;
 use crate::render::spline::{PoseSpline, quaternion};
@@ -67,7 +66,7 @@ impl SourcePath {
     }
 
     /// Camera and exposure at a moment (frames); lens and exposure go evenly from frame to frame.
-    pub fn at(&self, t: f64) -> Stop {
+    pub fn at(&self, t: f64) -> SourceFrame {
         let last = self.times.len() - 1;
         let next = self.times.partition_point(|time| *time <= t).min(last);
         let before = if self.times[next] <= t {
@@ -84,7 +83,7 @@ impl SourcePath {
         };
         let size = &self.frames[0].camera.intrinsics;
         let lens = |frame: &SourceFrame| frame.camera.intrinsics.resized(size.width, size.height);
-        Stop {
+        SourceFrame {
             camera: Camera {
                 intrinsics: between_lenses(&lens(a), &lens(b), u),
                 c2w: self.poses.at(t),

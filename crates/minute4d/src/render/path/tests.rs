@@ -5,7 +5,7 @@ use super::source::{STRAY, STRAY_DEG, stabilised};
 use super::{CameraPath, PathOptions, Plan, SourcePath};
 use crate::Error;
 use crate::render::swing::Bullet;
-use crate::render::{Moment, Painter, RenderJob, Stop, TimePath};
+use crate::render::{Moment, Painter, RenderJob, TimePath};
 use m4_core::nalgebra::{Vector3, Vector6};
 use m4_core::{
     Camera, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, log_so3,
@@ -57,7 +57,7 @@ fn plan_of(scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
     job.plan(scene, &mut painter)
 }
 
-fn stops(scene: &Scene, path: CameraPath, options: PathOptions, fps: f64) -> Vec<Stop> {
+fn stops(scene: &Scene, path: CameraPath, options: PathOptions, fps: f64) -> Vec<SourceFrame> {
     let job = RenderJob {
         options,
         fps: Some(fps),
@@ -66,7 +66,7 @@ fn stops(scene: &Scene, path: CameraPath, options: PathOptions, fps: f64) -> Vec
     plan_of(scene, &job).unwrap().stops
 }
 
-fn difference(a: &Stop, b: &Stop) -> f64 {
+fn difference(a: &SourceFrame, b: &SourceFrame) -> f64 {
     (a.camera.c2w.matrix() - b.camera.c2w.matrix()).norm()
 }
 
@@ -153,8 +153,8 @@ fn times_without_cameras_and_cameras_without_times() {
 }
 
 /// Sum of the squared third differences of the positions and of the directions.
-fn jerk(stops: &[Stop]) -> f64 {
-    let third = |f: &dyn Fn(&Stop) -> Vector3<f64>| {
+fn jerk(stops: &[SourceFrame]) -> f64 {
+    let third = |f: &dyn Fn(&SourceFrame) -> Vector3<f64>| {
         stops
             .windows(4)
             .map(|w| (f(&w[3]) - f(&w[2]) * 3.0 + f(&w[1]) * 3.0 - f(&w[0])).norm_squared())
@@ -337,7 +337,7 @@ fn bullet_path_freezes_time_while_the_camera_orbits() {
     let all = stops(&scene, CameraPath::Bullet, at, 30.0);
     // 3 s of the source, 4 s still, and half of twice 0.4 s for slowing down.
     assert_eq!(all.len(), 1 + (7.4f64 * 30.0).round() as usize);
-    let frozen: Vec<&Stop> = all.iter().filter(|s| s.t == all[60].t).collect();
+    let frozen: Vec<&SourceFrame> = all.iter().filter(|s| s.t == all[60].t).collect();
     assert!((all[60].t - 12.0).abs() < 1e-9);
     assert!((119..=121).contains(&frozen.len()), "{}", frozen.len());
     for pair in frozen.windows(2).skip(12).take(92) {
