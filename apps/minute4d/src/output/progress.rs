@@ -32,6 +32,14 @@ struct Phase {
 }
 
 impl Phase {
+    fn begin(now: Instant, first_done: usize, last: Instant) -> Self {
+        Self {
+            started: now,
+            first_done,
+            last,
+        }
+    }
+
     /// Estimates the seconds to the end; `None` before the first step.
     fn eta_s(&self, now: Instant, done: usize, total: usize) -> Option<f64> {
         let elapsed_s = now.saturating_duration_since(self.started).as_secs_f64();
@@ -78,14 +86,8 @@ impl Events {
                 entry.eta_s(now, done, total)
             }
             None => {
-                state.phases.insert(
-                    phase.to_owned(),
-                    Phase {
-                        started: now,
-                        first_done: done,
-                        last: now,
-                    },
-                );
+                let begun = Phase::begin(now, done, now);
+                state.phases.insert(phase.to_owned(), begun);
                 None
             }
         };
@@ -232,14 +234,7 @@ impl Lines {
         let mut current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if current.as_ref().is_none_or(|(name, _)| name != phase) {
             let last = current.as_ref().map_or(now, |(_, before)| before.last);
-            *current = Some((
-                phase.to_owned(),
-                Phase {
-                    started: now,
-                    first_done: done,
-                    last,
-                },
-            ));
+            *current = Some((phase.to_owned(), Phase::begin(now, done, last)));
         }
         let (_, entry) = current.as_mut()?;
         if now.saturating_duration_since(entry.last) < LINE_INTERVAL {

@@ -110,11 +110,7 @@ impl<'a> Broadcast<'a> {
     fn show_result(&self, out: &Path) -> Result<(), Error> {
         let source = Source::new(out)?;
         if let Some(stamp) = source.newest() {
-            let (manifest, payload, scene) = source.load(&stamp, SimdLevel::detect()?)?;
-            if let Some(frames) = source.frames(&scene, self.inner) {
-                self.hub.set_frames(frames);
-            }
-            self.hub.show(manifest, payload);
+            source.show(&stamp, SimdLevel::detect()?, &self.hub, true, self.inner)?;
         }
         Ok(())
     }

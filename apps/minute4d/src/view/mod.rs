@@ -15,10 +15,9 @@ use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use m4_train::MetricsEvent;
 use m4_viewer::server::{Hub, Metrics, Server};
-use m4_viewer::{Frames, Manifest, page};
+use m4_viewer::{Frames, page};
 use minute4d::json::MAX_RECORD_BYTES;
-use minute4d::layout::is_capture;
-use minute4d::layout::{self, CAPTURE_FOLDER, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
+use minute4d::layout::{self, CAPTURE_FOLDER, METRICS_FILE, SCENE_FILE, VIEWER_FILE, is_capture};
 use minute4d::page::{frames, median_depth, pack};
 use minute4d::{Error, Observer};
 use std::fs;
@@ -113,14 +112,11 @@ impl Viewing {
     /// Reads a scene whole, then tells the pages.
     fn show(&mut self, stamp: Stamp, observer: &dyn Observer) -> Result<(), Error> {
         self.shown = Some(stamp.clone());
-        let (manifest, payload, scene) = self.source.load(&stamp, self.level)?;
-        if !self.with_frames
-            && let Some(frames) = self.source.frames(&scene, observer)
-        {
-            self.hub.set_frames(frames);
-            self.with_frames = true;
-        }
-        self.hub.show(manifest, payload);
+        let wanted = !self.with_frames;
+        let with_frames = self
+            .source
+            .show(&stamp, self.level, &self.hub, wanted, observer)?;
+        self.with_frames |= with_frames;
         Ok(())
     }
 
@@ -248,20 +244,29 @@ impl Source {
             .collect()
     }
 
-    /// Reads the scene for the page. The frames come from the page of an earlier run, or from the
-    /// capture; where neither is there the page goes without.
-    pub fn load(
+    /// Shows a file of a scene, and the frames of its clip where they are `wanted`. Returns whether
+    /// the frames are shown.
+    pub fn show(
         &self,
         stamp: &Stamp,
         level: SimdLevel,
-    ) -> Result<(Manifest, Vec<u8>, Scene), Error> {
+        hub: &Hub,
+        wanted: bool,
+        progress: &dyn Progress,
+    ) -> Result<bool, Error> {
         let scene = safetensors::read(&stamp.path)?.scene;
         let (manifest, payload) = pack(&scene, &self.title(), median_depth(&scene, level));
-        Ok((manifest, payload.bytes, scene))
+        let frames = wanted.then(|| self.frames(&scene, progress)).flatten();
+        let with_frames = frames.is_some();
+        if let Some(frames) = frames {
+            hub.set_frames(frames);
+        }
+        hub.show(manifest, payload.bytes);
+        Ok(with_frames)
     }
 
     /// The frames of the source, where they can be found.
-    pub fn frames(&self, scene: &Scene, progress: &dyn Progress) -> Option<Frames> {
+    fn frames(&self, scene: &Scene, progress: &dyn Progress) -> Option<Frames> {
         if !self.path.is_dir() {
             return None;
         }

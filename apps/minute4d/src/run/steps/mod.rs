@@ -103,7 +103,7 @@ impl<'a> StepFolder<'a> {
 
     /// Waits until every step is written.
     fn settle(&self) {
-        if let Some(error) = self.writer.settle() {
+        if let Err(error) = self.writer.settle() {
             self.give_up(&error);
         }
     }
@@ -124,14 +124,14 @@ impl StepCache for StepFolder<'_> {
             return;
         }
         let (key, step) = (self.key.clone(), name.to_owned());
-        let failed = self.writer.push(move |folder| {
+        let written = self.writer.push(move |folder| {
             write(
                 folder,
                 &step,
                 &[MAGIC, hash(&key, &step, &bytes).as_bytes(), &bytes],
             )
         });
-        if let Some(error) = failed {
+        if let Err(error) = written {
             self.give_up(&error);
         }
     }

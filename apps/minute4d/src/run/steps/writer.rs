@@ -4,8 +4,8 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::thread;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
 
 /// The end of the name of a file that is being written.
 pub(super) const PART: &str = ".part";
@@ -15,98 +15,70 @@ const WAITING: usize = 4;
 /// Writes one file into a folder.
 type Task = Box<dyn FnOnce(&Path) -> io::Result<()> + Send>;
 
-/// Writes files in the order in which they are pushed. The thread ends with this and finishes its
-/// work before.
+/// Writes files in the order in which they are pushed.
 pub(super) struct Writer {
     folder: PathBuf,
-    state: Arc<State>,
-    tasks: Mutex<Option<SyncSender<Task>>>,
+    /// From the first file on until all are written.
+    thread: Mutex<Option<Thread>>,
 }
 
-#[derive(Default)]
-struct State {
-    progress: Mutex<Progress>,
-    idle: Condvar,
-}
-
-#[derive(Default)]
-struct Progress {
-    pending: usize,
-    error: Option<io::Error>,
+struct Thread {
+    tasks: SyncSender<Task>,
+    /// Returns the first error.
+    ended: JoinHandle<io::Result<()>>,
 }
 
 impl Writer {
     pub fn new(folder: PathBuf) -> Self {
         Self {
             folder,
-            state: Arc::default(),
-            tasks: Mutex::new(None),
+            thread: Mutex::new(None),
         }
     }
 
-    /// Has `write` called with the folder. Returns the error of an earlier file that was not
-    /// returned yet.
+    /// Has `write` called with the folder: by the thread, or now where there can be none.
     pub fn push(
         &self,
         write: impl FnOnce(&Path) -> io::Result<()> + Send + 'static,
-    ) -> Option<io::Error> {
-        let error = {
-            let mut progress = self.state.lock();
-            progress.pending += 1;
-            progress.error.take()
+    ) -> io::Result<()> {
+        let mut thread = self.lock();
+        if thread.is_none() {
+            *thread = self.start().ok();
+        }
+        let task: Task = Box::new(write);
+        let left = match thread.as_ref() {
+            Some(thread) => thread.tasks.send(task).err().map(|refused| refused.0),
+            None => Some(task),
         };
-        let tasks = self
-            .tasks
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .get_or_insert_with(|| self.start())
-            .clone();
-        // where no thread was started
-        if let Err(refused) = tasks.send(Box::new(write)) {
-            self.state.done(refused.0(&self.folder));
-        }
-        error
+        left.map_or(Ok(()), |task| task(&self.folder))
     }
 
-    /// Waits until all files are written. Returns the error of one that was not returned yet.
-    pub fn settle(&self) -> Option<io::Error> {
-        let mut progress = self.state.lock();
-        while progress.pending > 0 {
-            progress = self
-                .state
-                .idle
-                .wait(progress)
-                .unwrap_or_else(PoisonError::into_inner);
-        }
-        progress.error.take()
+    /// Waits until all files are written. Returns the first error since the last call.
+    pub fn settle(&self) -> io::Result<()> {
+        let Some(Thread { tasks, ended }) = self.lock().take() else {
+            return Ok(());
+        };
+        drop(tasks);
+        ended
+            .join()
+            .unwrap_or_else(|_| Err(io::Error::other("the thread that writes them ended")))
     }
 
-    fn start(&self) -> SyncSender<Task> {
-        let (sender, tasks) = sync_channel::<Task>(WAITING);
-        let (folder, state) = (self.folder.clone(), self.state.clone());
+    fn lock(&self) -> MutexGuard<'_, Option<Thread>> {
+        self.thread.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn start(&self) -> io::Result<Thread> {
+        let (tasks, received) = sync_channel::<Task>(WAITING);
+        let folder = self.folder.clone();
         let work = move || {
-            tasks
-                .into_iter()
-                .for_each(|write| state.done(write(&folder)))
+            let written = received.into_iter().map(|write| write(&folder));
+            written.fold(Ok(()), io::Result::and)
         };
-        // without a thread the channel is closed
-        let _ = thread::Builder::new().name("steps".to_owned()).spawn(work);
-        sender
-    }
-}
-
-impl State {
-    fn lock(&self) -> std::sync::MutexGuard<'_, Progress> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn done(&self, written: io::Result<()>) {
-        let mut progress = self.lock();
-        progress.pending -= 1;
-        if let Err(error) = written {
-            progress.error.get_or_insert(error);
-        }
-        self.idle.notify_all();
+        let ended = thread::Builder::new()
+            .name("steps".to_owned())
+            .spawn(work)?;
+        Ok(Thread { tasks, ended })
     }
 }
 
@@ -136,23 +108,24 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let writer = Writer::new(dir.path().to_path_buf());
         for i in 0..20u8 {
-            assert!(
-                writer
-                    .push(move |folder| write(folder, &i.to_string(), &[&[i; 1000], &[1]]))
-                    .is_none()
-            );
+            writer
+                .push(move |folder| write(folder, &i.to_string(), &[&[i; 1000], &[1]]))
+                .unwrap();
         }
-        assert!(writer.settle().is_none());
+        writer.settle().unwrap();
         for i in 0..20u8 {
             let bytes = fs::read(dir.path().join(i.to_string())).unwrap();
             assert_eq!((bytes.len(), bytes[0], bytes[1000]), (1001, i, 1));
         }
-        writer.push(|folder| write(&folder.join("nowhere"), "a", &[]));
-        writer.push(|folder| write(&folder.join("nowhere"), "b", &[]));
+        for name in ["a", "b"] {
+            writer
+                .push(move |folder| write(&folder.join("nowhere"), name, &[]))
+                .unwrap();
+        }
         assert_eq!(
-            writer.settle().unwrap().kind(),
+            writer.settle().unwrap_err().kind(),
             std::io::ErrorKind::NotFound
         );
-        assert!(writer.settle().is_none());
+        writer.settle().unwrap();
     }
 }
