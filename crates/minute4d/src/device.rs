@@ -76,7 +76,6 @@ impl DeviceChoice {
     /// # Errors
     ///
     /// As [`DeviceChoice::open`].
-    #[cfg(feature = "nets")]
     pub(crate) fn is_gpu(self) -> Result<bool, Error> {
         match self {
             Self::Cpu | Self::Auto => Ok(false),

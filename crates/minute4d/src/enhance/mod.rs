@@ -79,7 +79,6 @@ pub fn apply(
     let follows = match plan.tracking {
         Tracking::Unchanged => false,
         Tracking::Flow => settings.dense.tracks,
-        #[cfg(feature = "nets")]
         Tracking::Tapip3d(_) => true,
     };
     if follows {
@@ -109,7 +108,6 @@ fn segmented(
         &settings.enhance.masks,
     );
     match method {
-        Segmentation::Unchanged => Err(nothing_to_do()),
         #[cfg(feature = "nets")]
         Segmentation::Mobilesam => {
             let segmenter = resolve_segmenter(Segmenter::Mobilesam)?.load()?;
@@ -134,6 +132,7 @@ fn segmented(
                 progress,
             )
         }
+        _ => Err(nothing_to_do()),
     }
 }
 

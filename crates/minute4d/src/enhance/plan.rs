@@ -1,16 +1,12 @@
 //! Settings of the stage, and its methods by the installed weights.
 
 use crate::Error;
-#[cfg(not(feature = "nets"))]
-use crate::error::NetworkError;
 use crate::error::NetworkMethod;
-use crate::networks::UsedNetwork;
+use crate::networks::{UsedNetwork, network};
 use crate::settings::{Segmenter, Tracker};
-#[cfg(feature = "nets")]
 use std::path::PathBuf;
 
 /// Sizes of SAM 2.1, the best first.
-#[cfg(feature = "nets")]
 const SAM2: [&str; 4] = [
     "sam2.1-large",
     "sam2.1-base-plus",
@@ -24,10 +20,8 @@ pub(super) enum Segmentation {
     /// Masks stay unchanged.
     Unchanged,
     /// Optical flow, with MobileSAM for single images.
-    #[cfg(feature = "nets")]
     Mobilesam,
     /// SAM 2.1.
-    #[cfg(feature = "nets")]
     Sam2(PathBuf),
 }
 
@@ -39,7 +33,6 @@ pub(super) enum Tracking {
     /// Chains of flow.
     Flow,
     /// TAPIP3D.
-    #[cfg(feature = "nets")]
     Tapip3d(PathBuf),
 }
 
@@ -77,9 +70,7 @@ impl Plan {
     pub fn segmenter(&self) -> &'static str {
         match self.segmentation {
             Segmentation::Unchanged => Segmenter::None.name(),
-            #[cfg(feature = "nets")]
             Segmentation::Mobilesam => Segmenter::Mobilesam.name(),
-            #[cfg(feature = "nets")]
             Segmentation::Sam2(_) => Segmenter::Sam2.name(),
         }
     }
@@ -89,7 +80,6 @@ impl Plan {
         match self.tracking {
             Tracking::Unchanged => Tracker::None.name(),
             Tracking::Flow => Tracker::Flow.name(),
-            #[cfg(feature = "nets")]
             Tracking::Tapip3d(_) => Tracker::Tapip3d.name(),
         }
     }
@@ -102,63 +92,34 @@ impl Plan {
         } else {
             Tracking::Unchanged
         };
-        let plan = Self {
+        let mut plan = Self {
             segmentation: Segmentation::Unchanged,
             tracking,
             used: Vec::new(),
         };
-        plan.with_networks(segmenter, tracker, before)
-    }
-
-    #[cfg(feature = "nets")]
-    fn with_networks(
-        mut self,
-        segmenter: Segmenter,
-        tracker: Tracker,
-        before: Before,
-    ) -> Result<Self, Error> {
-        use crate::networks::network;
-
         let method = NetworkMethod::Segmenter(segmenter);
-        let (auto, single) = (
-            segmenter == Segmenter::Auto,
-            segmenter == Segmenter::Mobilesam,
-        );
+        let auto = segmenter == Segmenter::Auto;
+        let single = segmenter == Segmenter::Mobilesam;
         let sam2 = segmenter == Segmenter::Sam2;
         if (auto || sam2)
             && let Some((network, path)) = network(&SAM2, sam2, method)?
         {
-            self.used.push(network);
-            self.segmentation = Segmentation::Sam2(path);
+            plan.used.push(network);
+            plan.segmentation = Segmentation::Sam2(path);
         } else if (auto || single)
             && before == Before::Motion
             && let Some((network, _)) = network(&["mobile-sam"], single, method)?
         {
-            self.used.push(network);
-            self.segmentation = Segmentation::Mobilesam;
+            plan.used.push(network);
+            plan.segmentation = Segmentation::Mobilesam;
         }
         if tracker == Tracker::Tapip3d
             && let Some((network, path)) =
                 network(&["tapip3d"], true, NetworkMethod::Tracker(tracker))?
         {
-            self.used.push(network);
-            self.tracking = Tracking::Tapip3d(path);
+            plan.used.push(network);
+            plan.tracking = Tracking::Tapip3d(path);
         }
-        Ok(self)
-    }
-
-    #[cfg(not(feature = "nets"))]
-    fn with_networks(
-        self,
-        segmenter: Segmenter,
-        tracker: Tracker,
-        _: Before,
-    ) -> Result<Self, Error> {
-        let method = match (segmenter, tracker) {
-            (Segmenter::Mobilesam | Segmenter::Sam2, _) => NetworkMethod::Segmenter(segmenter),
-            (_, Tracker::Tapip3d) => NetworkMethod::Tracker(tracker),
-            _ => return Ok(self),
-        };
-        Err(NetworkError::NotBuilt { method }.into())
+        Ok(plan)
     }
 }

@@ -4,16 +4,13 @@ mod segmenter;
 
 pub(crate) use segmenter::{Resolved, resolve as resolve_segmenter};
 
-#[cfg(feature = "nets")]
 use crate::Error;
-#[cfg(feature = "nets")]
 use crate::error::{NetworkError, NetworkMethod};
 #[cfg(feature = "nets")]
 use crate::weights::{self, Entry, Store, WeightsError};
 #[cfg(feature = "nets")]
 use m4_nets::LoadError;
 use serde::{Deserialize, Serialize};
-#[cfg(feature = "nets")]
 use std::path::PathBuf;
 
 /// A network that took part, for the record.
@@ -31,12 +28,23 @@ pub struct UsedNetwork {
 
 /// The first of `names` whose weights are installed, and their file.
 #[cfg(feature = "nets")]
-pub(crate) fn installed(names: &[&str]) -> Option<(&'static Entry, PathBuf)> {
+fn installed(names: &[&str]) -> Option<(&'static Entry, PathBuf)> {
     let store = Store::of_user().ok()?;
     names
         .iter()
         .filter_map(|name| weights::find(name).ok())
         .find_map(|entry| Some((entry, store.require(entry).ok()?)))
+}
+
+/// Whether weights of one of `names` are installed.
+pub(crate) fn is_installed(names: &[&str]) -> bool {
+    #[cfg(feature = "nets")]
+    return installed(names).is_some();
+    #[cfg(not(feature = "nets"))]
+    {
+        let _ = names;
+        false
+    }
 }
 
 /// The first of `names`, best first, whose weights are installed, and their file. Where there are
@@ -62,6 +70,19 @@ pub(crate) fn network(
         blake3: crate::hash::of_path(&path)?,
     };
     Ok(Some((used, path)))
+}
+
+/// None of `names`, which this build cannot load; fails where one is `required`.
+#[cfg(not(feature = "nets"))]
+pub(crate) fn network(
+    names: &[&str],
+    required: bool,
+    method: NetworkMethod,
+) -> Result<Option<(UsedNetwork, PathBuf)>, Error> {
+    match required && !names.is_empty() {
+        true => Err(NetworkError::NotBuilt { method }.into()),
+        false => Ok(None),
+    }
 }
 
 /// The error of weights of `method` that cannot be loaded.

@@ -6,41 +6,33 @@ use crate::error::NetworkError;
 use crate::error::NetworkMethod;
 use crate::settings::Segmenter;
 use m4_geometry::classical::dense;
-#[cfg(feature = "nets")]
 use std::path::PathBuf;
 
 /// A segmenter that can be used: its weights were found.
 #[derive(Debug)]
 pub(crate) struct Resolved {
-    #[cfg(feature = "nets")]
     weights: Option<(super::UsedNetwork, PathBuf)>,
 }
 
-#[cfg(feature = "nets")]
 const METHOD: NetworkMethod = NetworkMethod::Segmenter(Segmenter::Mobilesam);
 
-/// Finds the weights of `segmenter`; fails if they are missing or cannot be read.
-#[cfg(feature = "nets")]
+/// Finds the weights of `segmenter`; fails if they are missing or cannot be read, or the build has
+/// no networks.
 pub(crate) fn resolve(segmenter: Segmenter) -> Result<Resolved, Error> {
     let weights = match segmenter {
+        #[cfg(not(feature = "nets"))]
+        Segmenter::Sam2 => {
+            let method = NetworkMethod::Segmenter(segmenter);
+            return Err(NetworkError::NotBuilt { method }.into());
+        }
         // SAM 2 follows objects through the clip afterwards
-        Segmenter::None | Segmenter::Sam2 => None,
+        #[cfg(feature = "nets")]
+        Segmenter::Sam2 => None,
+        Segmenter::None => None,
         Segmenter::Auto => super::network(&["mobile-sam"], false, METHOD)?,
         Segmenter::Mobilesam => super::network(&["mobile-sam"], true, METHOD)?,
     };
     Ok(Resolved { weights })
-}
-
-/// Finds what `segmenter` needs; fails for networks, which the build lacks.
-#[cfg(not(feature = "nets"))]
-pub(crate) fn resolve(segmenter: Segmenter) -> Result<Resolved, Error> {
-    match segmenter {
-        Segmenter::None | Segmenter::Auto => Ok(Resolved {}),
-        Segmenter::Mobilesam | Segmenter::Sam2 => Err(NetworkError::NotBuilt {
-            method: NetworkMethod::Segmenter(segmenter),
-        }
-        .into()),
-    }
 }
 
 impl Resolved {
@@ -55,13 +47,8 @@ impl Resolved {
 
     /// BLAKE3 of its weights.
     pub(crate) fn weights_hash(&self) -> Option<&str> {
-        #[cfg(feature = "nets")]
-        return self
-            .weights
-            .as_ref()
-            .map(|(network, _)| network.blake3.as_str());
-        #[cfg(not(feature = "nets"))]
-        None
+        let weights = self.weights.as_ref();
+        weights.map(|(network, _)| network.blake3.as_str())
     }
 
     /// The segmenter, loaded; fails if the weights cannot be used.

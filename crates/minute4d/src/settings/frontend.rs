@@ -88,16 +88,7 @@ impl Frontend {
         Ok(Self { parts })
     }
 
-    /// The front end without networks.
-    #[cfg(not(feature = "nets"))]
-    pub(crate) fn classical() -> Self {
-        Self {
-            parts: vec![FrontendPart::Classical],
-        }
-    }
-
     /// The parts, in order.
-    #[cfg(feature = "nets")]
     pub(crate) fn parts(&self) -> &[FrontendPart] {
         &self.parts
     }

@@ -5,7 +5,7 @@ mod geometry;
 mod layers;
 mod output;
 #[cfg(test)]
-mod page;
+mod page_tests;
 mod ranges;
 mod train;
 

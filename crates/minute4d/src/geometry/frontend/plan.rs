@@ -2,14 +2,9 @@
 
 use crate::Error;
 use crate::device::DeviceChoice;
-#[cfg(not(feature = "nets"))]
-use crate::error::NetworkError;
 use crate::error::NetworkMethod;
-use crate::networks::UsedNetwork;
-#[cfg(feature = "nets")]
-use crate::networks::{installed, network};
+use crate::networks::{UsedNetwork, is_installed, network};
 use crate::settings::{Frontend, FrontendPart};
-#[cfg(feature = "nets")]
 use std::path::PathBuf;
 
 /// A front end whose weights were found.
@@ -23,7 +18,7 @@ pub struct Plan {
     pub notes: Vec<String>,
     /// Whether it would take depth from a network whose weights are not installed.
     pub lacks_depth: bool,
-    #[cfg(feature = "nets")]
+    #[cfg_attr(not(feature = "nets"), expect(dead_code, reason = "nothing is loaded"))]
     pub(super) files: Vec<(FrontendPart, PathBuf)>,
 }
 
@@ -51,7 +46,6 @@ impl Plan {
 }
 
 /// Names of the weights that serve a part, the best first.
-#[cfg(feature = "nets")]
 fn names(part: FrontendPart) -> &'static [&'static str] {
     match part {
         FrontendPart::Megasam => &["megasam"],
@@ -74,10 +68,8 @@ fn names(part: FrontendPart) -> &'static [&'static str] {
 }
 
 /// The default flow methods for the tracking network, best first.
-#[cfg(feature = "nets")]
 const FLOWS: [FrontendPart; 2] = [FrontendPart::Raft, FrontendPart::Classical];
 /// The depth methods, best first.
-#[cfg(feature = "nets")]
 const DEPTHS: [&[FrontendPart]; 5] = [
     &[FrontendPart::Moge],
     &[FrontendPart::Unidepth, FrontendPart::DepthAnything],
@@ -89,11 +81,9 @@ const DEPTHS: [&[FrontendPart]; 5] = [
 /// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement
 /// (docs/geometry-log.md, "Front ends"), with depth of `moge` where its weights are here; on a GPU
 /// that was asked for it is `megasam` where the weights of all of its parts are here. Fails if
-/// weights are missing, or if a requested GPU does not start.
-#[cfg(feature = "nets")]
+/// weights are missing, the build has no networks, or a requested GPU does not start.
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
-    let here =
-        |part: FrontendPart| part == FrontendPart::Classical || installed(names(part)).is_some();
+    let here = |part: FrontendPart| part == FrontendPart::Classical || is_installed(names(part));
     let mut notes = Vec::new();
     let parts = if asked.is_auto() {
         automatic(&here, || device.is_gpu())?
@@ -114,7 +104,8 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
             network.weights, network.licence
         ));
     }
-    let lacks_depth = asked.is_auto() && frontend.parts() == [FrontendPart::Classical];
+    let lacks_depth =
+        cfg!(feature = "nets") && asked.is_auto() && frontend.parts() == [FrontendPart::Classical];
     Ok(Plan {
         frontend,
         used,
@@ -125,7 +116,6 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
 }
 
 /// The parts of `auto`.
-#[cfg(feature = "nets")]
 fn automatic(
     here: &dyn Fn(FrontendPart) -> bool,
     on_gpu: impl FnOnce() -> Result<bool, Error>,
@@ -141,28 +131,7 @@ fn automatic(
     })
 }
 
-/// Finds what `asked` needs; fails for networks, which the build lacks.
-#[cfg(not(feature = "nets"))]
-pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
-    let network = FrontendPart::ALL
-        .into_iter()
-        .find(|&p| p != FrontendPart::Classical && asked.has(p));
-    match network {
-        Some(part) => Err(NetworkError::NotBuilt {
-            method: NetworkMethod::FrontEnd(part),
-        }
-        .into()),
-        None => Ok(Plan {
-            frontend: Frontend::classical(),
-            used: Vec::new(),
-            notes: Vec::new(),
-            lacks_depth: false,
-        }),
-    }
-}
-
 /// The parts of `asked` with a flow, and with a depth where the tracking network wants one.
-#[cfg(feature = "nets")]
 fn complete(
     asked: &Frontend,
     here: &dyn Fn(FrontendPart) -> bool,
@@ -206,11 +175,11 @@ fn complete(
 }
 
 #[cfg(test)]
-#[cfg(feature = "nets")]
 mod tests {
-    use super::{automatic, complete, names};
+    #[cfg(feature = "nets")]
+    use super::names;
+    use super::{automatic, complete};
     use crate::settings::{Frontend, FrontendPart};
-    use crate::weights;
 
     fn parts(asked: &str, here: &[FrontendPart]) -> (String, Vec<String>) {
         let asked: Frontend = asked.parse().unwrap();
@@ -220,12 +189,15 @@ mod tests {
         (Frontend::of(parts).unwrap().to_string(), notes)
     }
 
+    #[cfg(feature = "nets")]
     #[test]
     fn every_part_has_weights_that_are_known() {
         for part in FrontendPart::ALL {
             assert_eq!(names(part).is_empty(), part == FrontendPart::Classical);
             assert!(
-                names(part).iter().all(|name| weights::find(name).is_ok()),
+                names(part)
+                    .iter()
+                    .all(|name| crate::weights::find(name).is_ok()),
                 "{part:?}"
             );
         }
