@@ -1,9 +1,10 @@
 //! The happy path from outside: train, render, eval, stop, resume.
 
 use crate::common::{
-    Ended, Running, Scratch, capture, frames_of, mean_image_psnr_db, write_capture, write_images,
+    Ended, Running, Scratch, capture, capture_with_near_objects, frames_of, mean_image_psnr_db,
+    write_capture, write_images,
 };
-use m4_core::{Plane, Sim3, exp_so3, nalgebra::Vector3};
+use m4_core::{Sim3, exp_so3, nalgebra::Vector3};
 use m4_io::capture::Split;
 use m4_io::scene::safetensors;
 use minute4d::Silent;
@@ -111,29 +112,7 @@ fn train_render_eval() {
 #[test]
 fn baselines_need_no_training() {
     let dir = with_capture(true);
-    let mut own = capture(6, false);
-    for frame in &mut own.frames {
-        let mask = frame.mask.clone().unwrap();
-        let depth = frame.depth.as_ref().unwrap().to_map();
-        let near = |i: usize, z: f32| {
-            if mask.at(i % depth.width(), i / depth.width()) {
-                0.5 * z
-            } else {
-                z
-            }
-        };
-        let wrong = depth
-            .data()
-            .iter()
-            .enumerate()
-            .map(|(i, &z)| near(i, z))
-            .collect();
-        frame.depth = Some(
-            Plane::from_vec(depth.width(), depth.height(), wrong)
-                .unwrap()
-                .into(),
-        );
-    }
+    let own = capture_with_near_objects();
     m4_io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
     dir.succeed("train own -o out --iterations 10 --no-viewer");
     let report = dir.succeed("eval out --data capture --json").result();

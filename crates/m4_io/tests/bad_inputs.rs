@@ -1,12 +1,13 @@
 //! Bad clips, images and scene files: every message names the file, what is wrong, and what to do;
 //! nothing panics.
 
-use crate::common::{Stop, pinwheel, says, temporary, without_ffmpeg};
+use crate::common::{pinwheel, says, temporary, without_ffmpeg};
 use m4_core::{Plane, Silent};
 use m4_io::ErrorKind;
 use m4_io::image::{read_depth, read_rgb, write_depth, write_mask, write_rgb};
 use m4_io::scene::safetensors;
 use m4_io::video::{self, VideoOptions};
+use m4_testkit::StopAtPoll;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -196,7 +197,7 @@ fn impossible_options_are_refused() {
 
 #[test]
 fn reading_can_be_cancelled() {
-    let error = video::read(&pinwheel(), &options(), &Stop).unwrap_err();
+    let error = video::read(&pinwheel(), &options(), &StopAtPoll::after(0)).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Cancelled);
 }
 

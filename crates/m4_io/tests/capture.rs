@@ -1,7 +1,7 @@
 //! Captures: what is written comes back, and captures with faults or that name
 //! files outside of their folder are refused.
 
-use crate::common::{Heard, says};
+use crate::common::says;
 use m4_core::advice::OUTSIDE;
 use m4_core::nalgebra::Vector6;
 use m4_core::{
@@ -11,6 +11,7 @@ use m4_io::capture::{CaptureOptions, Split, as_read, read, write};
 use m4_io::image::{write_mask, write_rgb};
 use m4_io::reach::Reach;
 use m4_io::{ErrorKind, ReadError};
+use m4_testkit::Heard;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -114,7 +115,7 @@ fn captures_round_trip() {
 #[test]
 fn a_capture_in_memory_is_the_one_that_is_read() {
     let dir = tempfile::tempdir().unwrap();
-    // Every third frame of a longer video, with depths that 16 bits round and others that they clip.
+    // Every third frame of a longer video, with depths that 16 bits round or clip.
     let places = (0..10).map(|i| [i as f32 / 3.0, 1.0 / 7.0, f32::NAN]);
     let tracks = Tracks::new(5, 2, places.collect(), vec![true; 10]).unwrap();
     let mut capture = Capture {

@@ -1,11 +1,10 @@
 //! What the tests of this crate share.
 
-use m4_core::{Progress, RgbImage, Video};
+use m4_core::{RgbImage, Video};
 use m4_io::video::VideoOptions;
 use m4_testkit::{Need, skip};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::Mutex;
 use tempfile::TempDir;
 
 /// The example clip: 96 frames, 480x360, 24 per second, H.264 High with B-frames.
@@ -162,37 +161,6 @@ pub fn says(message: &dyn std::fmt::Display, words: &[&str]) {
     let text = message.to_string();
     for word in words {
         assert!(text.contains(word), "{word:?} is not in: {text}");
-    }
-}
-
-/// Asks to stop at once.
-pub struct Stop;
-
-impl Progress for Stop {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-    fn warn(&self, _: &str) {}
-    fn cancelled(&self) -> bool {
-        true
-    }
-}
-
-/// Records warnings.
-#[derive(Default)]
-pub struct Heard(Mutex<Vec<String>>);
-
-impl Heard {
-    pub fn all(&self) -> String {
-        self.0.lock().unwrap().join("\n")
-    }
-}
-
-impl Progress for Heard {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-    fn warn(&self, message: &str) {
-        self.0.lock().unwrap().push(message.to_owned());
-    }
-    fn cancelled(&self) -> bool {
-        false
     }
 }
 

@@ -13,6 +13,7 @@ mod compare;
 mod fixture;
 mod formula;
 mod mutate;
+mod progress;
 mod server;
 mod skip;
 mod synthetic;
@@ -27,7 +28,8 @@ pub use compare::{
 };
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
 pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights};
-pub use mutate::{StopAtPoll, mutate};
+pub use mutate::mutate;
+pub use progress::{Heard, StopAtPoll};
 pub use server::Server;
 pub use skip::{Need, SKIPPED_VARIABLE, on_every_level, repository, shared, skip};
 pub use synthetic::{

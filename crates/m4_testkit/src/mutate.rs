@@ -1,7 +1,6 @@
-//! Random mutations of files, and a stop at a given poll.
+//! Random mutations of files.
 
-use m4_core::{CounterRng, Progress};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use m4_core::CounterRng;
 
 /// Changes the bytes of a file in one of several ways, and returns which.
 pub fn mutate(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
@@ -98,37 +97,5 @@ pub fn mutate(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
             }
             "noise"
         }
-    }
-}
-
-/// Says stop from a given poll on.
-#[derive(Debug)]
-pub struct StopAtPoll {
-    at: usize,
-    asked: AtomicUsize,
-}
-
-impl StopAtPoll {
-    /// Answers no this many times.
-    pub fn after(polls: usize) -> Self {
-        Self {
-            at: polls,
-            asked: AtomicUsize::new(0),
-        }
-    }
-
-    /// Number of polls.
-    pub fn asked(&self) -> usize {
-        self.asked.load(Ordering::Relaxed)
-    }
-}
-
-impl Progress for StopAtPoll {
-    fn update(&self, _phase: &str, _done: usize, _total: usize, _note: &str) {}
-
-    fn warn(&self, _message: &str) {}
-
-    fn cancelled(&self) -> bool {
-        self.asked.fetch_add(1, Ordering::Relaxed) >= self.at
     }
 }

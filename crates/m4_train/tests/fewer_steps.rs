@@ -3,10 +3,10 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{FRAMES, STILL, add_harmonics, disturbed, filmed, video};
-use m4_core::{Capture, Column, CounterRng, Progress, Silent, Splats, StateTensor, TrainState};
+use m4_core::{Capture, Column, CounterRng, Silent, Splats, StateTensor, TrainState};
 use m4_kernels::SimdLevel;
+use m4_testkit::StopAtPoll;
 use m4_train::{DensityConfig, MetricsEvent, Outcome, TrainConfig, Trainer};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Nothing moves and nothing changes over the run.
 fn frozen(iterations: usize) -> TrainConfig {
@@ -184,19 +184,6 @@ fn a_new_splat_moves_by_its_rate_at_first() {
     assert!((middle - 0.01).abs() < 1e-4, "{middle}");
 }
 
-/// Asks to stop from the given question on.
-struct StopAt(AtomicUsize, usize);
-
-impl Progress for StopAt {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-
-    fn warn(&self, _: &str) {}
-
-    fn cancelled(&self) -> bool {
-        self.0.fetch_add(1, Ordering::Relaxed) >= self.1
-    }
-}
-
 #[test]
 fn a_stop_is_heard_between_the_frames_of_the_fit_which_then_starts_anew() {
     let (scene, capture) = video();
@@ -209,7 +196,7 @@ fn a_stop_is_heard_between_the_frames_of_the_fit_which_then_starts_anew() {
     for question in [1, 4, FRAMES + 3] {
         let mut stopped = begin();
         let outcome = stopped
-            .run(&StopAt(AtomicUsize::new(0), question), &mut |_| {})
+            .run(&StopAtPoll::after(question), &mut |_| {})
             .unwrap();
         assert_eq!(
             outcome,

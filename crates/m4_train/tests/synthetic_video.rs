@@ -2,13 +2,13 @@
 //! and T9).
 
 use crate::common::{FRAMES, disturbed, video};
-use m4_core::{Capture, CaptureFrame, Column, Progress, Silent, Splats};
+use m4_core::{Capture, CaptureFrame, Column, Silent, Splats};
 use m4_kernels::{Renderer, SimdLevel, View};
+use m4_testkit::StopAtPoll;
 use m4_train::{
     DensityConfig, MetricsEvent, Outcome, TrainConfig, TrainError, Trainer,
     init::{InitConfig, initialise},
 };
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Rates for a few hundred steps instead of thousands.
 fn config(iterations: usize) -> TrainConfig {
@@ -208,19 +208,6 @@ fn pose_refinement_recovers_a_perturbed_pose() {
     assert_eq!(trainer.scene().source[0].camera, capture.frames[0].camera);
 }
 
-/// Asks to stop after some updates.
-struct StopAfter(AtomicUsize);
-
-impl Progress for StopAfter {
-    fn update(&self, _phase: &str, _done: usize, _total: usize, _note: &str) {}
-
-    fn warn(&self, _message: &str) {}
-
-    fn cancelled(&self) -> bool {
-        self.0.fetch_add(1, Ordering::Relaxed) >= 25
-    }
-}
-
 #[test]
 fn a_stopped_run_keeps_what_it_has() {
     let (scene, capture) = video();
@@ -231,7 +218,7 @@ fn a_stopped_run_keeps_what_it_has() {
         SimdLevel::best(),
     )
     .unwrap();
-    let stop = StopAfter(AtomicUsize::new(0));
+    let stop = StopAtPoll::after(25);
     let outcome = trainer.run(&stop, &mut |_| {}).unwrap();
     assert_eq!(outcome, Outcome::Stopped { iteration: 25 });
     assert_eq!(trainer.iteration(), 25);

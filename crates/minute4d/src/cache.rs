@@ -94,7 +94,8 @@ impl<'a> Steps<'a> {
 #[cfg(test)]
 mod tests {
     use super::{StepCache, Steps};
-    use m4_core::{Flow, Progress};
+    use m4_core::Flow;
+    use m4_testkit::Heard;
     use std::collections::BTreeMap;
     use std::convert::Infallible;
     use std::sync::Mutex;
@@ -112,21 +113,6 @@ mod tests {
         }
     }
 
-    #[derive(Default)]
-    struct Warnings(Mutex<Vec<String>>);
-
-    impl Progress for Warnings {
-        fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-
-        fn warn(&self, message: &str) {
-            self.0.lock().unwrap().push(message.to_owned());
-        }
-
-        fn cancelled(&self) -> bool {
-            false
-        }
-    }
-
     fn step(steps: &Steps<'_>, value: f64) -> f64 {
         let result = steps.keep("cameras", |progress| {
             progress.warn("blurred");
@@ -137,7 +123,7 @@ mod tests {
 
     #[test]
     fn a_step_is_computed_once_and_its_warnings_are_repeated() {
-        let (cache, warnings) = (Memory::default(), Warnings::default());
+        let (cache, warnings) = (Memory::default(), Heard::default());
         let steps = Steps::new(&warnings, Some(&cache));
         let nan = f64::from_bits(0x7ff8_0000_dead_beef);
         assert_eq!(step(&steps, nan).to_bits(), nan.to_bits());
@@ -146,14 +132,14 @@ mod tests {
             nan.to_bits(),
             "from the cache, bit by bit"
         );
-        assert_eq!(*warnings.0.lock().unwrap(), ["blurred", "blurred"]);
+        assert_eq!(warnings.all(), "blurred\nblurred");
         let none = Steps::new(&warnings, None);
         assert_eq!((step(&none, 2.0), step(&none, 3.0)), (2.0, 3.0), "no cache");
     }
 
     #[test]
     fn flow_comes_back_bit_by_bit() {
-        let (cache, warnings) = (Memory::default(), Warnings::default());
+        let (cache, warnings) = (Memory::default(), Heard::default());
         let steps = Steps::new(&warnings, Some(&cache));
         let numbers = |offset: u32| {
             (0..35)

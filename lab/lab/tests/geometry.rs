@@ -1,7 +1,7 @@
 //! Scores of a capture against the truth.
 
-use crate::common::{Scratch, capture, write_capture};
-use m4_core::{Plane, Tracks};
+use crate::common::{Scratch, capture, capture_with_near_objects, write_capture};
+use m4_core::Tracks;
 use m4_io::capture::{self as files, Split};
 use m4_io::tracks;
 use minute4d::Silent;
@@ -121,29 +121,7 @@ fn motion_needs_true_tracks_and_is_compared_with_them() {
 #[test]
 fn explanation_names_the_wrong_part_and_baselines_need_no_training() {
     let dir = written(true);
-    let mut own = capture(6, false);
-    for frame in &mut own.frames {
-        let mask = frame.mask.clone().unwrap();
-        let depth = frame.depth.as_ref().unwrap().to_map();
-        let near = |i: usize, z: f32| {
-            if mask.at(i % depth.width(), i / depth.width()) {
-                0.5 * z
-            } else {
-                z
-            }
-        };
-        let wrong = depth
-            .data()
-            .iter()
-            .enumerate()
-            .map(|(i, &z)| near(i, z))
-            .collect();
-        frame.depth = Some(
-            Plane::from_vec(depth.width(), depth.height(), wrong)
-                .unwrap()
-                .into(),
-        );
-    }
+    let own = capture_with_near_objects();
     files::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
     let explained = dir
         .succeed("eval-geometry own --truth capture --explain --train 40 -o work --json")

@@ -320,6 +320,19 @@ pub fn capture(n: usize, held_out: bool) -> Capture {
     capture_of(SIZE, n, held_out)
 }
 
+/// A capture of six frames whose objects are half as far away as they are.
+pub fn capture_with_near_objects() -> Capture {
+    let mut own = capture(6, false);
+    for frame in &mut own.frames {
+        let mask = frame.mask.clone().unwrap();
+        let depth = frame.depth.as_ref().unwrap().to_map();
+        let (w, h) = depth.size();
+        let near = |x, y| if mask.at(x, y) { 0.5 } else { 1.0 };
+        frame.depth = Some(Plane::from_fn(w, h, |x, y| near(x, y) * depth[(x, y)]).into());
+    }
+    own
+}
+
 fn capture_of(size: (usize, usize), n: usize, held_out: bool) -> Capture {
     let shift = if held_out { 0.1 } else { 0.0 };
     Capture {

@@ -1,11 +1,11 @@
 //! Captures for other tools, read back.
 
-use crate::common::{Stop, says};
+use crate::common::says;
 use m4_core::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use m4_core::{Capture, CaptureFrame, CompactMask, Silent, Tracks};
 use m4_io::dataset::colmap;
 use m4_io::image::{read_mask, read_rgb};
-use m4_testkit::BoxScene;
+use m4_testkit::{BoxScene, StopAtPoll};
 
 const SIZE: [usize; 2] = [64, 48];
 
@@ -97,7 +97,7 @@ fn cancelled_or_failed_exports_leave_no_files() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");
     assert!(
-        colmap::write(&out, &capture, &Stop)
+        colmap::write(&out, &capture, &StopAtPoll::after(0))
             .unwrap_err()
             .to_string()
             .contains("stopped")

@@ -8,9 +8,10 @@ mod reconstructions;
 mod record3d;
 mod truth;
 
-pub use crate::common::{Heard, copy, fixture, says};
+pub use crate::common::{copy, fixture, says};
 use m4_core::Silent;
 use m4_io::dataset::{ImportOptions, SourceFormat, read};
+pub use m4_testkit::Heard;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 

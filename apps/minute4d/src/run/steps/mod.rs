@@ -156,25 +156,9 @@ fn hash(key: &str, name: &str, bytes: &[u8]) -> blake3::Hash {
 #[cfg(test)]
 mod tests {
     use super::StepFolder;
-    use m4_core::Progress;
+    use m4_testkit::Heard;
     use minute4d::cache::StepCache;
     use std::fs;
-    use std::sync::Mutex;
-
-    #[derive(Default)]
-    struct Heard(Mutex<Vec<String>>);
-
-    impl Progress for Heard {
-        fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-
-        fn warn(&self, message: &str) {
-            self.0.lock().unwrap().push(message.to_owned());
-        }
-
-        fn cancelled(&self) -> bool {
-            false
-        }
-    }
 
     #[test]
     fn steps_of_another_key_are_removed() {
@@ -235,11 +219,7 @@ mod tests {
         let steps = StepFolder::open(dir.path(), "k", &heard);
         steps.put("more", vec![1]);
         drop(steps);
-        let said = heard.0.lock().unwrap();
-        assert_eq!(
-            said.iter().filter(|s| s.contains("cannot be kept")).count(),
-            1,
-            "{said:?}"
-        );
+        let said = heard.all();
+        assert_eq!(said.matches("cannot be kept").count(), 1, "{said}");
     }
 }
