@@ -50,6 +50,13 @@ impl From<minute4d_eval::Error> for Failure {
     }
 }
 
+#[cfg(feature = "nets")]
+impl From<WeightsError> for Failure {
+    fn from(error: WeightsError) -> Self {
+        minute4d::Error::from(error).into()
+    }
+}
+
 impl From<minute4d::settings::SettingsError> for Failure {
     fn from(error: minute4d::settings::SettingsError) -> Self {
         minute4d::Error::from(error).into()

@@ -97,18 +97,14 @@ pub(crate) fn ids(inputs: &[(String, String)]) -> Vec<String> {
         ids.push(if alone {
             name
         } else {
-            format!("{name}-{}", short_hash(path))
+            format!("{name}-{}", short_hash(path, HASH_CHARS))
         });
     }
     ids
 }
 
-fn short_hash(text: &str) -> String {
-    blake3::hash(text.as_bytes())
-        .to_hex()
-        .chars()
-        .take(HASH_CHARS)
-        .collect()
+pub(crate) fn short_hash(text: &str, chars: usize) -> String {
+    blake3::hash(text.as_bytes()).to_hex()[..chars].to_owned()
 }
 
 fn safe(name: &str) -> String {

@@ -5,7 +5,7 @@
 //! appears under its final name by one rename. Of two processes that publish the same job one wins,
 //! and the other finds it done.
 
-use crate::batch::layout::{Layout, RESULT_FILE};
+use crate::batch::layout::{Layout, RESULT_FILE, short_hash};
 use crate::batch::manifest::VERSION;
 use crate::run::record::{FileRecord, RUN_FILE, RUN_FORMAT, Status};
 use minute4d::json::{read_json, write_json};
@@ -219,11 +219,7 @@ fn bring(from: &Path, to: &Path) -> io::Result<()> {
 
 fn nonce(host: &str) -> String {
     let text = format!("{host} {} {:?}", std::process::id(), SystemTime::now());
-    blake3::hash(text.as_bytes())
-        .to_hex()
-        .chars()
-        .take(16)
-        .collect()
+    short_hash(&text, 16)
 }
 
 pub(crate) fn remove(folder: &Path) -> Result<(), Error> {

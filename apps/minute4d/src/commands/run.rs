@@ -57,11 +57,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
             existing: args.existing.mode(),
             observer,
         };
-        let done = crate::run::run(input, out, &job)?;
-        if args.poster {
-            crate::run::preview::poster(out, input, &job.settings)?;
-        }
-        Ok(done)
+        crate::run::run(input, out, &job, args.poster)
     };
     while_training(&args.page, (input, out), output, work, |done| {
         // the input of a run may be a capture, whose geometry is not this run's

@@ -55,7 +55,7 @@ pub enum WeightsAction {
 }
 
 pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
-    let store = Store::of_user().map_err(minute4d::Error::from)?;
+    let store = Store::of_user()?;
     match &args.action {
         WeightsAction::List => list(&store, output),
         WeightsAction::Fetch {
@@ -74,8 +74,7 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
             file,
             accept_license,
         } => {
-            let record = weights::add(find_entry(name)?, &store, file, *accept_license)
-                .map_err(minute4d::Error::from)?;
+            let record = weights::add(weights::find(name)?, &store, file, *accept_license)?;
             if !record.published {
                 output.warn(&format!(
                     "no published checksum for {name}; the SHA-256 of the file is {}",
@@ -92,7 +91,7 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
 fn select(names: &[String]) -> Result<Vec<&'static Entry>, Failure> {
     let mut entries: Vec<&Entry> = Vec::new();
     for name in names {
-        for entry in weights::select(name).map_err(minute4d::Error::from)? {
+        for entry in weights::select(name)? {
             if !entries.iter().any(|other| other.name == entry.name) {
                 entries.push(entry);
             }
@@ -109,7 +108,7 @@ fn fetch(
 ) -> Result<(), Failure> {
     // every licence before the first download
     for entry in entries {
-        weights::check_licence(entry, accept_license).map_err(minute4d::Error::from)?;
+        weights::check_licence(entry, accept_license)?;
     }
     let network = Network::of_user();
     let mut records = Vec::new();
@@ -198,7 +197,7 @@ fn or_by_hand(entry: &Entry, error: WeightsError) -> Failure {
         WeightsError::Refused(refusal)
             if matches!(refusal.category, Category::NoInput | Category::TryAgain)
     );
-    let mut failure = Failure::from(minute4d::Error::from(error));
+    let mut failure = Failure::from(error);
     if helps {
         failure.reason += &format!(
             "; `minute4d weights add {} FILE` installs a file",
@@ -206,10 +205,6 @@ fn or_by_hand(entry: &Entry, error: WeightsError) -> Failure {
         );
     }
     failure
-}
-
-fn find_entry(name: &str) -> Result<&'static Entry, Failure> {
-    Ok(weights::find(name).map_err(minute4d::Error::from)?)
 }
 
 #[derive(Debug, Serialize)]
@@ -311,21 +306,22 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
             .collect(),
         names => names
             .iter()
-            .map(|name| find_entry(name))
+            .map(|name| weights::find(name))
             .collect::<Result<_, _>>()?,
     };
     let mut files = Vec::new();
     for entry in entries {
-        let (condition, reason) = match store.verify(entry).map_err(minute4d::Error::from)? {
+        let (condition, reason) = match store.verify(entry)? {
             Condition::Published => ("published", None),
             Condition::AsAdded => ("as added", None),
             Condition::Unknown => ("unknown", None),
             Condition::Damaged { reason } => ("damaged", Some(reason)),
             Condition::Absent => {
-                return Err(minute4d::Error::from(
-                    store.require(entry).err().unwrap_or(WeightsError::NoFolder),
-                )
-                .into());
+                return Err(store
+                    .require(entry)
+                    .err()
+                    .unwrap_or(WeightsError::NoFolder)
+                    .into());
             }
         };
         files.push(CheckedFile {

@@ -28,12 +28,12 @@ use std::path::Path;
 use workspace::Workspace;
 
 /// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run
-/// are reused with [`Existing::Resume`].
+/// are reused with [`Existing::Resume`]. A `poster` is for overviews of many clips.
 ///
 /// # Errors
 ///
 /// [`Error`] of the stage that failed; finished work stays in `out`.
-pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
+pub fn run(input: &Path, out: &Path, job: &Job<'_>, poster: bool) -> Result<RunRecord, Error> {
     if is_capture(input) {
         if job.settings.geometry != GeometryOptions::default() {
             job.observer.warn(
@@ -41,7 +41,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
                  --depth have no effect",
             );
         }
-        return train::make(input, out, job);
+        return train::of_capture(input, out, job, poster);
     }
     Error::unless_exists("video, folder of images or capture", input)?;
     job.check()?;
@@ -65,7 +65,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
             Some(capture) => m4_io::capture::as_read(&folder, capture, options, job.observer)?,
             None => train::read(&folder, &job.settings, job.observer)?,
         };
-        train::all(run, &HashedCapture::new(capture))
+        train::all(run, &HashedCapture::new(capture), poster)
     })
 }
 

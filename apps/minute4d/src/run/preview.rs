@@ -1,24 +1,20 @@
 //! `preview.mp4`: source, re-render and frozen time with a swinging camera, side by side; and
 //! `poster.jpg`: a frame and its re-render, for overviews of many clips.
 
-use super::{stage, train};
-use crate::run::record::{FileRecord, RUN_FILE, RunRecord};
+use super::stage;
+use crate::run::record::FileRecord;
 use crate::run::workspace::Workspace;
 use m4_core::{
     Camera, Capture, Exposure, Plane, Progress, ResizeFilter, RgbImage, Scene, Silent, resize_rgb,
 };
 use m4_io::image::write_rgb;
-use m4_io::results::Kind;
-use m4_io::scene::safetensors;
 use m4_io::video::Mp4Writer;
-use m4_kernels::SimdLevel;
 use minute4d::hash::HashedCapture;
-use minute4d::layout::{self, CAPTURE_FOLDER, PREVIEW_FILE, SCENE_FILE};
+use minute4d::layout::{POSTER_FILE, PREVIEW_FILE};
 use minute4d::observer::{RecordingObserver, check_stop};
 use minute4d::render::{SWING_FRAMES, SceneRenderer, source_fps, swing};
-use minute4d::settings::{Settings, part_to_toml};
+use minute4d::settings::part_to_toml;
 use minute4d::{Error, StageEvent};
-use std::path::{Path, PathBuf};
 
 /// Name of the stage.
 pub const STAGE: &str = "preview";
@@ -111,38 +107,22 @@ fn panel_size(camera: &Camera, longest: usize) -> (usize, usize) {
     (even(w), even(h))
 }
 
-/// Name of the file in the folder of a run.
-pub const POSTER_FILE: &str = "poster.jpg";
 /// Longest side of each of the two images, pixels: a page of a thousand posters stays under 50 MB.
 const SIDE_PX: usize = 240;
 
-/// Makes the poster of a finished run of `input` and notes it in the run's record. The frame is the
-/// one that the preview freezes.
-///
-/// # Errors
-///
-/// [`Error::Missing`] where the folder holds no run; [`Error`] where scene or capture cannot be
-/// read or nothing can be written.
-pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, Error> {
-    let mut record = RunRecord::read(run)?.ok_or_else(|| Error::missing(RUN_FILE, run))?;
-    // Warnings about the capture were given while the scene was made.
-    let capture_folder = run.join(CAPTURE_FOLDER);
-    let capture = train::read(
-        if capture_folder.is_dir() {
-            &capture_folder
-        } else {
-            input
-        },
-        settings,
-        &Silent,
-    )?;
-    let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
+/// Makes the poster of a run and notes it in the run's record. The frame is the one that the preview
+/// freezes.
+pub(crate) fn poster(
+    run: &mut Workspace<'_>,
+    capture: &Capture,
+    scene: &Scene,
+) -> Result<(), Error> {
     let frame = scene.source.len() / 2;
     let photo = capture.frames.get(frame);
     let (source, photo) = scene.source.get(frame).zip(photo).ok_or_else(no_source)?;
     let (width, height) = panel_size(&source.camera, SIDE_PX);
     let photo = resize_rgb(&photo.rgb, width, height, ResizeFilter::Triangle);
-    let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None, &Silent)?;
+    let mut renderer = SceneRenderer::new(scene, run.level, None, &Silent)?;
     let again = renderer.image(
         &source.camera.resized(width, height),
         source.t,
@@ -156,14 +136,11 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
         }
         row[width..].copy_from_slice(again.row(y));
     }
-    layout::claim(run, Kind::Run, &[POSTER_FILE])?;
-    let path = run.join(POSTER_FILE);
+    let path = run.path(POSTER_FILE);
     write_rgb(&path, &both)?;
-    record
-        .files
-        .insert(POSTER_FILE.to_owned(), FileRecord::of(&path)?);
-    record.write(run)?;
-    Ok(path)
+    let written = FileRecord::of(&path)?;
+    run.record.files.insert(POSTER_FILE.to_owned(), written);
+    Ok(())
 }
 
 /// Pixels between two panels.

@@ -5,6 +5,7 @@
 
 use minute4d::geometry::GeometrySummary;
 use minute4d::json::{plain_json, read_json, write_json};
+use minute4d::layout::GEOMETRY_FILE;
 use minute4d::{Error, Progress, Settings, hash};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -14,8 +15,6 @@ use std::path::Path;
 
 /// Name of a run's record.
 pub const RUN_FILE: &str = "run.json";
-/// Name of the geometry stage's record in a capture.
-pub const GEOMETRY_FILE: &str = hash::RECORD_FILE;
 /// `format` of a run's record.
 pub const RUN_FORMAT: &str = "minute4d-run";
 /// `format` of a capture's record.

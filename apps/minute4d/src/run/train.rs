@@ -38,6 +38,16 @@ struct Dependencies<'a> {
 ///
 /// [`Error`]: the capture cannot be used, the folder cannot be used, or the user asked to stop.
 pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
+    of_capture(capture, out, job, false)
+}
+
+/// The same, with a poster where it is asked for.
+pub(crate) fn of_capture(
+    capture: &Path,
+    out: &Path,
+    job: &Job<'_>,
+    poster: bool,
+) -> Result<RunRecord, Error> {
     Error::unless_exists("capture", capture)?;
     job.check()?;
     let clock = Clock::start(&job.settings);
@@ -48,11 +58,15 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
         path: capture,
         blake3: data.hash.clone(),
     };
-    Workspace::open(out, &source, job, clock)?.finish(|run| all(run, &data))
+    Workspace::open(out, &source, job, clock)?.finish(|run| all(run, &data, poster))
 }
 
-/// Trains; writes preview and viewer if time remains.
-pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<(), Error> {
+/// Trains; writes preview and viewer if time remains, and a poster where it is asked for.
+pub(crate) fn all(
+    run: &mut Workspace<'_>,
+    capture: &HashedCapture,
+    poster: bool,
+) -> Result<(), Error> {
     let (scene, packed) = trained(run, capture)?;
     let plan = viewer::plan(run, capture)?;
     let wanted = matches!(plan, viewer::Plan::Write(_)) && !run.clock.is_over();
@@ -71,7 +85,11 @@ pub(crate) fn all(run: &mut Workspace<'_>, capture: &HashedCapture) -> Result<()
         },
     );
     preview?;
-    run.if_there_is_time("the page", |run| viewer::make(run, plan, page?))
+    run.if_there_is_time("the page", |run| viewer::make(run, plan, page?))?;
+    match poster {
+        true => preview::poster(run, &capture.capture, &scene),
+        false => Ok(()),
+    }
 }
 
 /// Reads the training frames of a capture.
