@@ -6,9 +6,11 @@
 
 use m4_core::{Column, SplatLayout, Splats};
 use m4_kernels::adam::cpu::AdamState;
+use serde::{Deserialize, Serialize};
 
 /// Highest degrees of the harmonics of colours. The default is 0 for both: one colour per splat.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ColourDegree {
     /// Of the harmonics of direction, 0..=3.
     pub space: usize,

@@ -26,7 +26,7 @@ pub struct TrainSettings {
     /// As [`TrainConfig::target_cache_mb`].
     pub target_cache_mb: usize,
     /// Harmonics of colours.
-    pub colour_degree: ColourDegreeSettings,
+    pub colour_degree: ColourDegree,
     /// Colours by least squares.
     pub colour_fit: ColourFitSettings,
     /// What is minimised.
@@ -35,16 +35,6 @@ pub struct TrainSettings {
     pub density: DensitySettings,
     /// Poses, focal length and exposure.
     pub refine: RefinementSettings,
-}
-
-/// Highest degrees of the harmonics of colours; fields are those of [`ColourDegree`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ColourDegreeSettings {
-    /// Of the harmonics of direction.
-    pub space: usize,
-    /// Of the harmonics of time.
-    pub time: usize,
 }
 
 /// Colours by least squares after the last step.
@@ -127,10 +117,7 @@ impl TrainSettings {
             background: config.background,
             metrics_every: config.metrics_every,
             target_cache_mb: config.target_cache_mb,
-            colour_degree: ColourDegreeSettings {
-                space: config.colour_degree.space,
-                time: config.colour_degree.time,
-            },
+            colour_degree: config.colour_degree,
             colour_fit: ColourFitSettings {
                 rounds: config.colour_fit_rounds,
             },
@@ -168,10 +155,7 @@ impl TrainSettings {
             background: self.background,
             metrics_every: self.metrics_every,
             target_cache_mb: self.target_cache_mb,
-            colour_degree: ColourDegree {
-                space: self.colour_degree.space,
-                time: self.colour_degree.time,
-            },
+            colour_degree: self.colour_degree,
             colour_fit_rounds: self.colour_fit.rounds,
             lambda_ssim: self.loss.lambda_ssim,
             density: density.config(base.density),
