@@ -9,7 +9,8 @@ use crate::run::record::{GeometryRecord, RunRecord};
 use crate::run::{Job, geometry};
 use clap::Args;
 use minute4d::Observer;
-use minute4d::layout::{CAPTURE_FOLDER, PREVIEW_FILE, VIEWER_FILE};
+use minute4d::layout::{CAPTURE_FOLDER, PREVIEW_FILE, VIEWER_FILE, is_capture};
+use minute4d::settings::GeometryOptions;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -57,7 +58,16 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
             existing: args.existing.mode(),
             observer,
         };
-        crate::run::run(input, out, &job, args.poster)
+        if !is_capture(input) {
+            return crate::run::run(input, out, &job, args.poster);
+        }
+        if job.settings.geometry != GeometryOptions::default() {
+            observer.warn(
+                "the input is a capture, whose geometry is used unchanged: --frontend, --segmenter, --intrinsics, --poses, --masks and \
+                 --depth have no effect",
+            );
+        }
+        crate::run::train::of_capture(input, out, &job, args.poster)
     };
     while_training(&args.page, (input, out), output, work, |done| {
         // the input of a run may be a capture, whose geometry is not this run's

@@ -19,30 +19,20 @@ use clock::Clock;
 use m4_kernels::SimdLevel;
 use minute4d::device::DeviceRequest;
 use minute4d::hash::HashedCapture;
-use minute4d::layout::{CAPTURE_FOLDER, Existing, is_capture};
+use minute4d::layout::{CAPTURE_FOLDER, Existing};
 use minute4d::observer::RecordingObserver;
-use minute4d::settings::GeometryOptions;
 use minute4d::{Error, Observer, Settings};
 use record::{RunRecord, Source, StageRecord};
 use std::path::Path;
 use workspace::Workspace;
 
-/// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run
-/// are reused with [`Existing::Resume`]. A `poster` is for overviews of many clips.
+/// Turns a video or a folder of images into a scene; finished stages of an earlier run are reused
+/// with [`Existing::Resume`]. A `poster` is for overviews of many clips.
 ///
 /// # Errors
 ///
 /// [`Error`] of the stage that failed; finished work stays in `out`.
 pub fn run(input: &Path, out: &Path, job: &Job<'_>, poster: bool) -> Result<RunRecord, Error> {
-    if is_capture(input) {
-        if job.settings.geometry != GeometryOptions::default() {
-            job.observer.warn(
-                "the input is a capture, whose geometry is used unchanged: --frontend, --segmenter, --intrinsics, --poses, --masks and \
-                 --depth have no effect",
-            );
-        }
-        return train::of_capture(input, out, job, poster);
-    }
     Error::unless_exists("video, folder of images or capture", input)?;
     job.check()?;
     let clock = Clock::start(&job.settings);

@@ -42,7 +42,7 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
 }
 
 /// The same, with a poster where it is asked for.
-pub(crate) fn of_capture(
+pub fn of_capture(
     capture: &Path,
     out: &Path,
     job: &Job<'_>,

@@ -17,6 +17,7 @@ use m4_core::{
 use m4_geometry::FrameRate;
 use m4_geometry::classical::sparse::SparseConfig;
 use m4_io::video::{VideoOptions, evenly};
+use std::path::Path;
 
 /// A clip and what is known of it.
 pub(super) struct Clip {
@@ -44,10 +45,11 @@ impl Clip {
     ///
     /// Poses, masks and depth belong to the frames as they are read: with them all frames stay, as
     /// they are.
-    pub fn read(between: Between, context: &Context<'_>) -> Result<Self, Error> {
+    pub fn read(input: &Path, between: Between, context: &Context<'_>) -> Result<Self, Error> {
         let (settings, observer) = (context.settings(), context.observer());
         let options = between.to_read(&settings.video);
-        let video = m4_io::video::read(context.input, &options, observer)?;
+        let frames = |options: &VideoOptions| m4_io::video::read(input, options, observer);
+        let video = frames(&options)?;
         for warning in &video.warnings {
             observer.warn(warning);
         }
@@ -55,7 +57,7 @@ impl Clip {
         if sparse.fov_deg.is_none() && sparse.focal_px.is_none() {
             sparse.focal_px = video.focal_px;
         }
-        let mut given = Given::read(&video, context)?;
+        let mut given = Given::read(input, &video, settings)?;
         let Chosen {
             video,
             area,
@@ -66,7 +68,7 @@ impl Clip {
             }
             Chosen::all(video)
         } else {
-            footage::choose(video, &options, context)?
+            footage::choose(video, &options, &frames, context)?
         };
         let width = area.width;
         let from_fov = |fov: f64| 0.5 * width as f64 / (0.5 * fov.to_radians()).tan();

@@ -173,8 +173,6 @@ pub struct Dependencies<'a> {
 /// What all parts of the stage use.
 #[derive(Clone, Copy)]
 struct Context<'a> {
-    /// The path of the clip.
-    input: &'a Path,
     plan: &'a Plan,
     steps: Steps<'a>,
 }
@@ -201,9 +199,9 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
     for note in &plan.frontend.notes {
         observer.warn(note);
     }
-    let context = Context { input, plan, steps };
+    let context = Context { plan, steps };
     let between = Between::of(&plan.settings, &plan.frontend);
-    let mut clip = Clip::read(between, &context)?;
+    let mut clip = Clip::read(input, between, &context)?;
     let footage = clip.footage.take();
     let (capture, mut summary) = match plan.frontend.is_megasam() {
         #[cfg(feature = "nets")]

@@ -8,6 +8,7 @@ use super::Context;
 use crate::{Error, Refusal};
 use m4_core::{Plane, Progress, RgbImage, Video, VideoFrame};
 use m4_geometry::inspect::{Exposure, Overlays, Reason, Rectangle, Shot, Shown, Timeline, bars};
+use m4_io::ReadError;
 use m4_io::video::{VideoOptions, evenly};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,9 @@ const INSPECTED_PX: usize = 160;
 /// Frames on which bars are looked for.
 const BAR_FRAMES: usize = 32;
 
+/// Reads frames of the clip.
+pub(super) type ReadFrames<'a> = dyn Fn(&VideoOptions) -> Result<Video, ReadError> + 'a;
+
 /// Frames, and what was done to them.
 pub(super) struct Chosen {
     pub video: Video,
@@ -70,11 +74,12 @@ impl Chosen {
     }
 }
 
-/// Chooses and cleans the frames of `video`, which was read from `input`. Fails where there is no
+/// Chooses and cleans the frames of `video`, which were read with `options`. Fails where there is no
 /// shot of the number that was asked for.
 pub(super) fn choose(
     video: Video,
     options: &VideoOptions,
+    read: &ReadFrames<'_>,
     context: &Context<'_>,
 ) -> Result<Chosen, Error> {
     let observer = context.observer();
@@ -85,7 +90,7 @@ pub(super) fn choose(
             size: Some(INSPECTED_PX),
             ..options.clone()
         };
-        Some(m4_io::video::read(context.input, &small, observer)?)
+        Some(read(&small)?)
     } else {
         None
     };
@@ -122,8 +127,8 @@ pub(super) fn choose(
         let shown = nearest(&video.frames, &times_s, &shot.frames);
         (video, shown)
     } else {
-        let again = overview.is_some().then_some(options);
-        frames_of(video, again, (shot, &times_s), context)?
+        let again = overview.is_some().then_some((options, read));
+        frames_of(video, again, (shot, &times_s))?
     };
     let area = footage.crop(&mut video, observer);
     footage.clean(&mut video, &shown, observer);
@@ -171,18 +176,17 @@ fn nearest(frames: &[VideoFrame], times_s: &[f64], shown: &[Shown]) -> Vec<Shown
 /// The frames of a shot: those of `video`, or, if it was thinned, read again.
 fn frames_of(
     video: Video,
-    again: Option<&VideoOptions>,
+    again: Option<(&VideoOptions, &ReadFrames<'_>)>,
     (shot, times_s): (&Shot, &[f64]),
-    context: &Context<'_>,
 ) -> Result<(Video, Vec<Shown>), Error> {
-    let mut video = if let Some(options) = again {
+    let mut video = if let Some((options, read)) = again {
         let shown = evenly(shot.frames.len(), options.max_frames);
         let time_s = |&i: &usize| times_s[shot.frames[i].index];
         let of_shot = VideoOptions {
             times_s: Some(shown.iter().map(time_s).collect()),
             ..options.clone()
         };
-        m4_io::video::read(context.input, &of_shot, context.observer())?
+        read(&of_shot)?
     } else {
         let mut frames: Vec<Option<VideoFrame>> = video.frames.into_iter().map(Some).collect();
         let kept = shot.frames.iter().filter_map(|f| frames[f.index].take());

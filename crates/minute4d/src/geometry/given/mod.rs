@@ -3,9 +3,9 @@
 
 mod cameras;
 
+use super::GeometryOptions;
 use super::frontend::MonoClip;
-use super::{Context, GeometryOptions};
-use crate::{Category, Error, Refusal, hash};
+use crate::{Category, Error, Refusal, Settings, hash};
 use m4_core::{Camera, DepthMap, Mask, Plane, Video};
 use m4_io::dataset::Lens;
 use m4_io::image::{read_depth, read_mask, read_rgb};
@@ -76,13 +76,12 @@ impl Given {
     /// Reads what `options` name for the clip `video` that came from `input`; `focal_px` of the
     /// frames where it is known otherwise. Fails with the name of a file that is missing, damaged,
     /// or does not fit the clip.
-    pub(super) fn read(video: &Video, context: &Context<'_>) -> Result<Self, Error> {
-        let settings = context.settings();
+    pub(super) fn read(input: &Path, video: &Video, settings: &Settings) -> Result<Self, Error> {
         let options = &settings.geometry;
         if !options.any_given() {
             return Ok(Self::default());
         }
-        let clip = ClipFiles::of(context.input, video, settings.video.folder_fps)?;
+        let clip = ClipFiles::of(input, video, settings.video.folder_fps)?;
         let lens = options.intrinsics.as_deref();
         let lens = lens
             .map(|text| cameras::lens(text, clip.size))
