@@ -65,18 +65,17 @@ fn test_capture(frames: usize) -> Capture {
     }
 }
 
+/// Reads the training frames.
+fn train(path: &Path) -> Result<Capture, ReadError> {
+    read(path, Split::Train, &CaptureOptions::default(), &Silent)
+}
+
 #[test]
 fn captures_round_trip() {
     let dir = tempfile::tempdir().unwrap();
     let capture = test_capture(5);
     write(dir.path(), &capture, Split::Train, &Silent).unwrap();
-    let got = read(
-        dir.path(),
-        Split::Train,
-        &CaptureOptions::default(),
-        &Silent,
-    )
-    .unwrap();
+    let got = train(dir.path()).unwrap();
     assert_eq!(
         (got.time_frames, got.duration_s, got.metric),
         (5, Some(1.25), true)
@@ -103,13 +102,7 @@ fn captures_round_trip() {
     // Again over the same folder, with fewer frames.
     write(dir.path(), &test_capture(3), Split::Train, &Silent).unwrap();
     let file = dir.path().join("transforms_train.json");
-    assert_eq!(
-        read(&file, Split::Train, &CaptureOptions::default(), &Silent)
-            .unwrap()
-            .frames
-            .len(),
-        3
-    );
+    assert_eq!(train(&file).unwrap().frames.len(), 3);
 }
 
 #[test]
@@ -169,13 +162,7 @@ fn a_capture_whose_replacement_was_interrupted_is_read() {
     let dir = tempfile::tempdir().unwrap();
     let next = dir.path().join(".minute4d-capture-done");
     write(&next, &test_capture(5), Split::Train, &Silent).unwrap();
-    let got = read(
-        dir.path(),
-        Split::Train,
-        &CaptureOptions::default(),
-        &Silent,
-    )
-    .unwrap();
+    let got = train(dir.path()).unwrap();
     assert_eq!(got.frames.len(), 5);
     assert!(!next.exists() && dir.path().join("transforms_train.json").is_file());
 }
@@ -297,14 +284,7 @@ fn byte_order_marks_are_read_or_named() {
     let (dir, json) = good();
     let list = dir.path().join("transforms_train.json");
     let text = json.to_string();
-    let read = || {
-        read(
-            dir.path(),
-            Split::Train,
-            &CaptureOptions::default(),
-            &Silent,
-        )
-    };
+    let read = || train(dir.path());
     fs::write(&list, format!("\u{feff}{text}")).unwrap();
     assert_eq!(read().unwrap().frames.len(), 2);
     let wide: Vec<u8> = [0xfeff]
@@ -492,18 +472,12 @@ fn malformed_or_missing_lists_of_frames_are_refused() {
     let (dir, json) = good();
     let path = dir.path().join("transforms_train.json");
     fs::write(&path, json.to_string().replace("30.0", "NaN")).unwrap();
-    let failed = || read(&path, Split::Train, &CaptureOptions::default(), &Silent).unwrap_err();
+    let failed = || train(&path).unwrap_err();
     says(&failed(), &["line 1", "neither NaN nor Infinity"]);
     fs::write(&path, &json.to_string()[..200]).unwrap();
     says(&failed(), &["not the JSON that was expected", "EOF"]);
     fs::remove_file(&path).unwrap();
-    let error = read(
-        dir.path(),
-        Split::Train,
-        &CaptureOptions::default(),
-        &Silent,
-    )
-    .unwrap_err();
+    let error = train(dir.path()).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::NotFound);
     says(&error, &["transforms_train.json", "a capture is a folder"]);
 }

@@ -1,6 +1,7 @@
 //! Hashes of inputs and settings: the cache keys of finished stages.
 
 use crate::Error;
+use crate::layout::GEOMETRY_FILE;
 use crate::observer::check_stop;
 use m4_core::{Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, Silent};
 use m4_io::files;
@@ -8,9 +9,6 @@ use rayon::prelude::*;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-
-/// Name of the record in a capture, which is not a part of its content.
-pub const RECORD_FILE: &str = "geometry.json";
 
 /// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder;
 /// hexadecimal.
@@ -184,7 +182,7 @@ fn list(
         let name = entry.file_name();
         let text = name.to_string_lossy();
         // the record is not part of the input
-        if text.starts_with('.') || text == RECORD_FILE {
+        if text.starts_with('.') || text == GEOMETRY_FILE {
             continue;
         }
         let relative = folder.join(&name);

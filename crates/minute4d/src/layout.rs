@@ -20,7 +20,7 @@ pub const EVAL_FILE: &str = "eval.json";
 /// A frame and its re-render, for overviews.
 pub const POSTER_FILE: &str = "poster.jpg";
 /// The record of how a capture was made.
-pub const GEOMETRY_FILE: &str = crate::hash::RECORD_FILE;
+pub const GEOMETRY_FILE: &str = "geometry.json";
 /// The objects of a capture, beside its list of frames.
 pub const OBJECTS_FILE: &str = "instances.json";
 /// Published masks of co-visibility in a capture.

@@ -110,8 +110,8 @@ fn panel_size(camera: &Camera, longest: usize) -> (usize, usize) {
 /// Longest side of each of the two images, pixels: a page of a thousand posters stays under 50 MB.
 const SIDE_PX: usize = 240;
 
-/// Makes the poster of a run and notes it in the run's record. The frame is the one that the preview
-/// freezes.
+/// Makes the poster of a run and notes it in the run's record. The frame is the one that the
+/// preview freezes.
 pub(crate) fn poster(
     run: &mut Workspace<'_>,
     capture: &Capture,

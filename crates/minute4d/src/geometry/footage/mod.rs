@@ -74,8 +74,8 @@ impl Chosen {
     }
 }
 
-/// Chooses and cleans the frames of `video`, which were read with `options`. Fails where there is no
-/// shot of the number that was asked for.
+/// Chooses and cleans the frames of `video`, which were read with `options`. Fails where there is
+/// no shot of the number that was asked for.
 pub(super) fn choose(
     video: Video,
     options: &VideoOptions,
