@@ -175,6 +175,7 @@ fn through(tracks: &[RawTrack], aims: &[Aim], focal: f64) -> Vec<RawTrack> {
         seen: (aims[track.first..].iter().zip(&track.seen))
             .map(|(aim, at)| at.map(|v| v * focal / aim.focal))
             .collect(),
+        again: Vec::new(),
     };
     tracks.iter().map(one).collect()
 }

@@ -113,7 +113,7 @@ impl SparseProblem<'_> {
             .zip(&straight.tracks)
         {
             tracks.clone_from(before);
-            for at in tracks.iter_mut().flat_map(|track| &mut track.seen) {
+            for (_, at) in tracks.iter_mut().flat_map(RawTrack::positions_mut) {
                 *at = bend.pinhole(*at);
             }
         }

@@ -31,7 +31,7 @@ const SAME_FOCAL: f64 = 0.05;
 const RIVAL: f64 = 0.9;
 /// Bundle adjustment ends when a step lowers the loss by less than this share: before tracks are
 /// classified anew, and at the end.
-const ROUGH: f64 = 1e-4;
+pub(super) const ROUGH: f64 = 1e-4;
 pub(super) const FINE: f64 = 1e-6;
 
 /// Two keyframes, `a` before `b`, with enough in common and enough between them.
@@ -77,6 +77,13 @@ impl SparseProblem<'_> {
             let first = starts.iter().max_by_key(|s| s.view.inliers.len());
             let (inliers, matches) =
                 first.map_or((0, 0), |s| (s.view.inliers.len(), s.pair.matches));
+            if inliers >= MIN_MATCHES && 2 * inliers >= matches {
+                return Err(SparseError::NoAgreement(
+                    "the camera can be followed through less than half of the clip: too few points of one part are tracked into the \
+                     next (fast turns, blur, plain walls); use a part without them (start, end), or supply a capture with poses"
+                        .to_owned(),
+                ));
+            }
             return Err(SparseError::NoAgreement(format!(
                 "no two frames agree on a static scene: the best pair has {inliers} of {matches} points on one rigid motion, \
                  {MIN_MATCHES} are needed (do moving objects fill the image?); {FIELD_OF_VIEW}, {STATIC_CAMERA} if \
@@ -355,6 +362,7 @@ impl SparseProblem<'_> {
         self.register_all(&mut map)?;
         map.triangulate(&self.tracks, &motions, &self.limits);
         let mut report = self.adjust(&mut map, free_focal, ROUGH)?;
+        self.close_loops(&mut map)?;
         for round in 0..ROUNDS {
             let note = format!("focal {:.1} px", map.focal / self.size.scale);
             self.progress

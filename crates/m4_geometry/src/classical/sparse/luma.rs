@@ -48,6 +48,12 @@ impl WorkingSize {
         [0, 1].map(|k| self.to_corner(p)[k] / self.input[k])
     }
 
+    /// The inverse of [`Self::centred`].
+    pub fn pixel(self, p: [f64; 2]) -> [f32; 2] {
+        let side = [self.width as f64, self.height as f64];
+        [0, 1].map(|k| ((p[k] / (self.input[k] * self.scale) + 0.5) * side[k] - 0.5) as f32)
+    }
+
     /// From pixels of the shrunk image (centre of the first pixel: 0, 0) to working pixels from the
     /// image centre. Rounding of the sides to whole pixels is undone: pixels come out square.
     pub fn centred(self, p: [f32; 2]) -> [f64; 2] {

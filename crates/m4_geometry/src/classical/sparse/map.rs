@@ -22,6 +22,8 @@ pub(crate) struct Map {
     pub poses: Vec<Option<Se3<f64>>>,
     /// World position, per track.
     pub points: Vec<Option<Vector3<f64>>>,
+    /// Whether sightings after the end of a track count: once they are verified.
+    pub loops_closed: bool,
     /// What the squared residuals of a track count in the adjustment; 1 until [`Map::weigh`].
     weights: Vec<f64>,
 }
@@ -34,6 +36,7 @@ impl Map {
             bend: Bend::NONE,
             poses,
             points: vec![None; tracks.len()],
+            loops_closed: false,
             weights: vec![1.0; tracks.len()],
         }
     }
@@ -51,6 +54,16 @@ impl Map {
         (track.first..track.end())
             .filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?)))
             .collect()
+    }
+
+    /// Sightings after the end of a track, where these count.
+    fn again(&self, track: &RawTrack) -> impl Iterator<Item = (usize, [f64; 2])> {
+        let again = if self.loops_closed {
+            &*track.again
+        } else {
+            &[]
+        };
+        again.iter().copied()
     }
 
     pub fn registered(&self) -> usize {
@@ -107,9 +120,10 @@ impl Map {
 
     /// Adjusts all poses and points, and the focal length if `free_focal`.
     ///
-    /// Of a long clip every n-th frame is adjusted with the points; the frames between follow the
-    /// points, and points that hardly any of the adjusted frames sees are triangulated anew. All
-    /// frames at once would take work that grows with the square of the length of tracks.
+    /// Of a long clip every n-th frame is adjusted with the points, and the frames that show earlier
+    /// points again; the frames between follow the points, and points that hardly any of the
+    /// adjusted frames sees are triangulated anew. All frames at once would take work that grows
+    /// with the square of the length of tracks.
     ///
     /// It ends early when the user asks to stop; what is found then is not to be used.
     pub fn adjust(
@@ -124,10 +138,14 @@ impl Map {
         if all.len() <= MOST_FRAMES {
             return self.adjust_frames(tracks, &all, options, progress);
         }
-        let some: Vec<usize> = spread(all.len(), MOST_FRAMES)
+        let mut some: Vec<usize> = spread(all.len(), MOST_FRAMES)
             .iter()
             .map(|&k| all[k])
             .collect();
+        let again = tracks.iter().flat_map(|t| self.again(t));
+        some.extend(again.map(|(i, _)| i).filter(|&i| self.poses[i].is_some()));
+        some.sort_unstable();
+        some.dedup();
         let mut adjusted = self.clone();
         let inside = |t: &RawTrack| {
             let from = some.partition_point(|&i| i < t.first);
@@ -223,7 +241,8 @@ impl Map {
         let mut observations = Vec::new();
         for (point, &i) in used.iter().enumerate() {
             let t = &tracks[i];
-            for (frame, &at) in (t.first..t.end()).zip(&t.seen) {
+            let views = (t.first..t.end()).zip(t.seen.iter().copied());
+            for (frame, at) in views.chain(self.again(t)) {
                 if index[frame] != usize::MAX {
                     observations.push(Observation {
                         pose: index[frame],
@@ -287,7 +306,7 @@ impl Map {
 const PRIOR: f64 = 10.0;
 
 /// Most frames that are adjusted at once, and how many of them must see a point.
-const MOST_FRAMES: usize = 300;
+pub(super) const MOST_FRAMES: usize = 300;
 const LEAST_VIEWS: usize = 3;
 
 /// Fewest agreeing points that fix a pose.
@@ -416,6 +435,7 @@ mod tests {
             RawTrack {
                 first: 0,
                 seen: poses[..views(i)].iter().map(at).collect(),
+                again: Vec::new(),
             }
         };
         let tracks: Vec<RawTrack> = points.iter().enumerate().map(track).collect();

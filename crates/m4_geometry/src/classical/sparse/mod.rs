@@ -2,11 +2,11 @@
 //! and bundle adjustment, without weights.
 //!
 //! ```text
-//! frames -> luma pyramids -> tracks (klt, tracking)
+//! frames -> luma pyramids -> tracks (klt, tracking), places seen again (revisits)
 //!        -> does the camera move? (rotation)  -- no --> degenerate: one pose, or rotations
 //!        -> does the lens zoom? (zoom, degenerate)  -- yes, and no more than that --> rotations and focal lengths
 //!        -> keyframes, focal scan, start pair (two_view), growth (triangulate)
-//!        -> all frames, bundle adjustment and motion classification in turn (map, bundle)
+//!        -> all frames, loops closed (loops), bundle adjustment and motion classification in turn (map, bundle)
 //! ```
 //!
 //! Where the cameras are known, [`FeatureTracks::with_cameras`] triangulates and finds dynamic
@@ -23,12 +23,14 @@ mod distortion;
 mod growth;
 pub(crate) mod klt;
 mod lens;
+mod loops;
 pub(crate) mod luma;
 mod map;
 mod outcome;
 mod posed;
 mod priors;
 mod reconstruct;
+mod revisits;
 mod rival;
 mod rotation;
 #[cfg(test)]

@@ -78,7 +78,7 @@ impl Lenses {
     /// Moves observations to where the lens of `focal` working pixels has them.
     pub fn undo(&self, tracks: &mut [RawTrack], size: WorkingSize, focal: f64) {
         for track in tracks {
-            for (frame, at) in (track.first..).zip(&mut track.seen) {
+            for (frame, at) in track.positions_mut() {
                 if let Some(k) = self.of(frame) {
                     let [u, v] = size.to_corner(*at);
                     *at = [focal * (u - k.cx) / k.fx, focal * (v - k.cy) / k.fy];
@@ -113,6 +113,7 @@ mod tests {
         let track = |x: f64| RawTrack {
             first: 1,
             seen: vec![[x, 0.0]; 3],
+            again: Vec::new(),
         };
         // the right half of frames 1 and 2, nothing in frame 3
         let half = Plane::from_fn(20, 10, |x, _| u8::from(x >= 10));
@@ -145,6 +146,7 @@ mod tests {
         let mut tracks = [RawTrack {
             first: 0,
             seen: vec![before],
+            again: Vec::new(),
         }];
         lenses.undo(&mut tracks, size, 255.0);
         let at = tracks[0].seen[0];

@@ -3,13 +3,13 @@
 use super::degenerate::turning;
 use super::distortion::Straight;
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
-use super::map::{Map, classify};
+use super::map::{MOST_FRAMES, Map, classify};
 use super::priors::{FocalSource, Lenses, Recovered, part};
 use super::rotation::{
     KEYFRAME_PARALLAX, Limits, MIN_TRACKS, Sway, focal_candidates, focal_from_fov, matches, sway,
 };
 use super::tracking::{RawTrack, track};
-use super::{SparseConfig, SparseError, stopped};
+use super::{SparseConfig, SparseError, revisits, stopped};
 use crate::classical::{CameraMotion, check_count};
 use m4_core::advice::{FIELD_OF_VIEW, STATIC_CAMERA};
 use m4_core::{Intrinsics, Mask, Progress, RgbImage, Se3};
@@ -358,7 +358,10 @@ pub fn track_features(
 ) -> Result<FeatureTracks, SparseError> {
     let (width, height) = check(frames, config)?;
     let working = WorkingSize::new(width, height, LONGEST_SIDE_PX);
-    let tracks = track(frames, working, progress)?;
+    let mut tracks = track(frames, working, progress)?;
+    if frames.len() > MOST_FRAMES {
+        revisits::find(frames, working, &mut tracks, progress)?;
+    }
     Ok(FeatureTracks {
         tracks,
         frames: frames.len(),

@@ -1,7 +1,7 @@
 //! Frames related by a turn of the camera alone, what is left when that turn is taken out, and the
 //! thresholds that follow from it.
 
-use super::map::RAYLEIGH_MEDIAN;
+use super::map::{MOST_FRAMES, RAYLEIGH_MEDIAN};
 use super::tracking::RawTrack;
 use super::two_view::Match;
 use m4_core::median;
@@ -19,7 +19,8 @@ const MAX_FOV_DEG: f64 = 100.0;
 pub(super) const KEYFRAME_PARALLAX: f64 = 0.015;
 /// ... or when fewer than this share of the last keyframe's tracks are still seen.
 const KEYFRAME_SURVIVAL: f64 = 0.6;
-/// Most keyframes; the clip is cut into this many where more are asked for.
+/// Most keyframes of every [`MOST_FRAMES`] frames; the clip is cut into this many where more are
+/// asked for.
 const MAX_KEYFRAMES: usize = 40;
 
 /// Fewest tracks from one frame to the next.
@@ -189,6 +190,7 @@ pub(crate) fn keyframes(
     focal: f64,
     parallax: f64,
 ) -> Vec<usize> {
+    let most = MAX_KEYFRAMES * frames.div_ceil(MOST_FRAMES);
     let mut threshold = parallax * width as f64;
     loop {
         let mut keys = vec![0];
@@ -209,12 +211,12 @@ pub(crate) fn keyframes(
         if last + 1 != frames {
             keys.push(frames - 1);
         }
-        if keys.len() <= MAX_KEYFRAMES {
+        if keys.len() <= most {
             return keys;
         }
         // Loss of tracks cannot be argued with: then every n-th frame it is.
         if threshold > 0.2 * width as f64 {
-            return spread(frames, MAX_KEYFRAMES);
+            return spread(frames, most);
         }
         threshold *= 1.5;
     }
@@ -294,6 +296,7 @@ mod tests {
                 RawTrack {
                     first: 0,
                     seen: positions,
+                    again: Vec::new(),
                 }
             })
             .collect()

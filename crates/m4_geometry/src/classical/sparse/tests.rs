@@ -12,6 +12,7 @@ use m4_core::{
 use m4_testkit::StopAtPoll;
 
 mod lens;
+mod loops;
 mod rival;
 
 const WIDTH: usize = 640;
@@ -80,6 +81,7 @@ impl Scene {
             let mut track = RawTrack {
                 first: birth,
                 seen: Vec::new(),
+                again: Vec::new(),
             };
             for frame in birth..(birth + life).min(self.frames) {
                 let t = (frame - birth) as f64;
@@ -430,6 +432,7 @@ fn noise_is_refused_with_numbers() {
             RawTrack {
                 first: 0,
                 seen: positions,
+                again: Vec::new(),
             }
         })
         .collect();

@@ -16,7 +16,7 @@ const MAX_ROUND_TRIP_PX: f32 = 0.7;
 /// Least normalised cross-correlation of a patch with itself one frame later.
 const MIN_CORRELATION: f32 = 0.7;
 /// Positions are aligned to the first appearance of the point while it correlates this much.
-const ANCHOR_CORRELATION: f32 = 0.85;
+pub(super) const ANCHOR_CORRELATION: f32 = 0.85;
 /// ... and while that moves the position by no more than this, working pixels.
 const MAX_DRIFT_PX: f32 = 1.0;
 
@@ -26,6 +26,9 @@ pub(crate) struct RawTrack {
     pub first: usize,
     /// Working pixels from the image centre, one entry per frame.
     pub seen: Vec<[f64; 2]>,
+    /// Frames after the end that show the point again, in order, and where; working pixels from the
+    /// image centre.
+    pub again: Vec<(usize, [f64; 2])>,
 }
 
 impl RawTrack {
@@ -36,6 +39,12 @@ impl RawTrack {
     /// One more than the last frame in which the point is seen.
     pub fn end(&self) -> usize {
         self.first + self.seen.len()
+    }
+
+    /// All positions with their frames, those after the end too.
+    pub fn positions_mut(&mut self) -> impl Iterator<Item = (usize, &mut [f64; 2])> {
+        let again = self.again.iter_mut().map(|(frame, at)| (*frame, at));
+        (self.first..).zip(&mut self.seen).chain(again)
     }
 }
 
@@ -62,6 +71,7 @@ pub(crate) fn track(
     let finish = |t: Live| RawTrack {
         first: t.first,
         seen: t.seen.iter().map(|&p| size.centred(p)).collect(),
+        again: Vec::new(),
     };
     // Pyramids of a few frames are made side by side; tracking itself goes frame by frame.
     for (batch_index, batch) in frames.chunks(BATCH).enumerate() {

@@ -299,6 +299,7 @@ mod tests {
                 RawTrack {
                     first: 0,
                     seen: positions.collect(),
+                    again: Vec::new(),
                 }
             })
             .collect()

@@ -39,6 +39,7 @@ fn room_behind(body: usize, centre: [f64; 2], half: [f64; 2]) -> Vec<RawTrack> {
         let mut track = RawTrack {
             first: birth,
             seen: Vec::new(),
+            again: Vec::new(),
         };
         for frame in birth..(birth + life).min(scene.frames) {
             let p = body(frame).transform(&local);
