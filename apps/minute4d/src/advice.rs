@@ -3,7 +3,7 @@
 use m4_core::advice;
 
 /// The option or the command for each phrase.
-const OPTIONS: [(&str, &str); 19] = [
+const OPTIONS: [(&str, &str); 20] = [
     (advice::FIELD_OF_VIEW, "--fov"),
     (advice::STATIC_CAMERA, "--static-camera"),
     (advice::MASKS, "--masks"),
@@ -26,6 +26,7 @@ const OPTIONS: [(&str, &str); 19] = [
     ),
     (advice::MASK_WEIGHTS, "minute4d weights fetch mobile-sam"),
     (advice::SHOT, "--shot"),
+    (advice::FRAMES, "--max-frames"),
 ];
 
 /// The message with the option or the command behind each advice.

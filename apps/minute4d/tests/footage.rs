@@ -74,6 +74,21 @@ fn one_take_says_nothing_of_footage() {
 }
 
 #[test]
+fn cameras_of_a_long_clip_use_more_frames_than_are_kept() {
+    let truth = walk(320);
+    let (_, warnings, capture) = of(images(&truth), "--max-frames 8");
+    contains(&warnings, &["320 frames", "29", m4_core::advice::FRAMES]);
+    // 29 frames have depth, 8 of them are kept
+    let kept: Vec<Camera> = m4_io::video::evenly(320, Some(29))
+        .into_iter()
+        .step_by(4)
+        .map(|i| truth[i])
+        .collect();
+    reconstructed(&capture, &kept);
+    assert_eq!(capture.frames[7].rgb, frame_image(&truth[319]));
+}
+
+#[test]
 fn of_a_clip_with_cuts_the_longest_shot_is_used_or_the_one_asked_for() {
     let dir = Scratch::new();
     let (first, second) = (sideways(20, 20.0), walk(40));

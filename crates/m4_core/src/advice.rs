@@ -39,9 +39,11 @@ pub const DEPTH_WEIGHTS: &str = "get the weights of MoGe-2 S (0.14 GB, MIT) for 
 pub const MASK_WEIGHTS: &str = "get the weights of MobileSAM (0.04 GB, Apache-2.0) for its masks";
 /// A clip has several shots.
 pub const SHOT: &str = "choose another shot";
+/// Too many or too few frames of a clip are used.
+pub const FRAMES: &str = "set the number of frames";
 
 /// Every phrase.
-pub const ALL: [&str; 19] = [
+pub const ALL: [&str; 20] = [
     FIELD_OF_VIEW,
     STATIC_CAMERA,
     MASKS,
@@ -61,4 +63,5 @@ pub const ALL: [&str; 19] = [
     DEPTH_WEIGHTS,
     MASK_WEIGHTS,
     SHOT,
+    FRAMES,
 ];

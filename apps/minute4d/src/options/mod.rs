@@ -116,7 +116,7 @@ impl ReachArgs {
 #[derive(Debug, Args)]
 pub struct VideoArgs {
     /// Maximum number of frames to train on, sampled evenly over the clip; geometry may use up to
-    /// four times as many
+    /// four times as many, and more for the cameras [default: all, 300 of a longer clip]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     pub max_frames: Option<u32>,
     /// Downscale frames so that their longest side is at most this many pixels

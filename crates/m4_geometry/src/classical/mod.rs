@@ -76,6 +76,32 @@ pub struct SparseReconstruction {
     pub warnings: Vec<String>,
 }
 
+impl SparseReconstruction {
+    /// The reconstruction of the frames with these indices, in ascending order: their cameras, and
+    /// the tracks that any of them shows.
+    #[must_use]
+    pub fn at_frames(&self, frames: &[usize]) -> Self {
+        let track = |track: &Track| {
+            let first_frame = frames.partition_point(|&i| i < track.first_frame);
+            let observations: Vec<[f32; 2]> = frames[first_frame..]
+                .iter()
+                .map_while(|&i| track.at(i))
+                .collect();
+            (!observations.is_empty()).then(|| Track {
+                first_frame,
+                observations,
+                ..*track
+            })
+        };
+        Self {
+            cameras: frames.iter().map(|&i| self.cameras[i]).collect(),
+            tracks: self.tracks.iter().filter_map(track).collect(),
+            warnings: self.warnings.clone(),
+            ..*self
+        }
+    }
+}
+
 /// Fails unless there are as many `what` as frames of the clip.
 fn check_count(what: &str, count: usize, frames: usize) -> Result<(), String> {
     let fault = || format!("there are {count} {what} for {frames} frames; give one per frame");
@@ -83,5 +109,53 @@ fn check_count(what: &str, count: usize, frames: usize) -> Result<(), String> {
         Ok(())
     } else {
         Err(fault())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CameraMotion, Motion, SparseReconstruction, Track};
+    use m4_core::{Camera, Intrinsics, Se3, nalgebra::Vector3};
+
+    #[test]
+    fn a_reconstruction_of_some_frames_has_their_cameras_and_what_they_show() {
+        let camera = |i: usize| Camera {
+            intrinsics: Intrinsics::centred(64, 48, 50.0),
+            c2w: Se3 {
+                translation: Vector3::new(i as f64, 0.0, 0.0),
+                ..Se3::identity()
+            },
+        };
+        let track = |first_frame: usize, count: usize| Track {
+            first_frame,
+            observations: (0..count)
+                .map(|k| [(first_frame + k) as f32, 0.0])
+                .collect(),
+            motion: Motion::Static,
+            point: Some(Vector3::zeros()),
+            residual_px: 0.1,
+        };
+        let all = SparseReconstruction {
+            cameras: (0..10).map(camera).collect(),
+            tracks: vec![track(0, 10), track(1, 2), track(4, 3), track(7, 3)],
+            camera_motion: CameraMotion::Parallax,
+            residual_px: 0.1,
+            warnings: Vec::new(),
+        };
+        let some = all.at_frames(&[0, 3, 6, 9]);
+        let places: Vec<f64> = some.cameras.iter().map(|c| c.centre().x).collect();
+        assert_eq!(places, [0.0, 3.0, 6.0, 9.0]);
+        let shown: Vec<(usize, Vec<f32>)> = some
+            .tracks
+            .iter()
+            .map(|t| (t.first_frame, t.observations.iter().map(|o| o[0]).collect()))
+            .collect();
+        // the second track lies between two of the frames
+        let want = [
+            (0, vec![0.0, 3.0, 6.0, 9.0]),
+            (2, vec![6.0]),
+            (3, vec![9.0]),
+        ];
+        assert_eq!(shown, want);
     }
 }

@@ -7,20 +7,18 @@ use super::clip::{Clip, FrameGeometry};
 use super::confidence::{Circumstances, Confidence, Grade};
 use super::depth::{rescale, set_unit, unit};
 use super::frontend::MonoClip;
-use super::given::Given;
 use super::iterate;
 use super::lens;
 use crate::Error;
 use crate::cache::Steps;
 use crate::observer::Recording;
 use m4_core::advice::DEPTH_WEIGHTS;
-use m4_core::{Camera, Capture, RgbImage, Tracks};
-use m4_geometry::FrameRate;
-use m4_geometry::classical::CameraMotion;
+use m4_core::{Camera, Capture, Mask, RgbImage, Tracks};
 use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, estimate};
 use m4_geometry::classical::sparse::{
     self, FeatureTracks, RadialDistortion, Recovered, SparseConfig,
 };
+use m4_geometry::classical::{CameraMotion, SparseReconstruction};
 
 /// Reconstructs `clip`.
 pub(super) fn compute(
@@ -28,9 +26,9 @@ pub(super) fn compute(
     context: &Context<'_>,
 ) -> Result<(Capture, GeometrySummary), Error> {
     let (mut context, mut distortion) = (*context, None);
-    let (pass, mut summary) = loop {
-        match attempt(&clip, &context)? {
-            Ok(result) => break result,
+    let (reconstruction, followed, recovered) = loop {
+        match attempt(&clip, context)? {
+            Ok(cameras) => break cameras,
             Err(lens) => {
                 context.observer().warn(&lens::note(&lens));
                 clip.straighten(&clip.lens(&lens))?;
@@ -40,6 +38,8 @@ pub(super) fn compute(
             }
         }
     };
+    let chosen = clip.keep_for_depth();
+    let (pass, mut summary) = reconstruction.run(&clip, &chosen, &followed, recovered)?;
     summary.distortion = distortion;
     let (cameras, dense) = (pass.recovered.sparse.cameras, pass.dense);
     let frames = cameras
@@ -54,56 +54,59 @@ pub(super) fn compute(
     Ok((clip.capture(frames, pass.metric, dense.tracks), summary))
 }
 
-/// Reconstructs `clip` as of a pinhole; the inner error is the lens that it turns out to have.
-fn attempt(
+/// Cameras of all frames of `clip` as of a pinhole; the inner error is the lens that it turns out
+/// to have.
+fn attempt<'a>(
     clip: &Clip,
-    context: &Context<'_>,
-) -> Result<Result<(Pass, GeometrySummary), RadialDistortion>, Error> {
+    context: Context<'a>,
+) -> Result<Result<(Reconstruction<'a>, FeatureTracks, Recovered), RadialDistortion>, Error> {
     let mut reconstruction = Reconstruction::new(clip, context)?;
-    let (followed, recovered) = reconstruction.first_cameras()?;
+    let (followed, recovered) = reconstruction.first_cameras(clip)?;
     if let Some(lens) = recovered.distortion {
         return Ok(Err(lens));
     }
     reconstruction.config.pinhole = true;
-    reconstruction.run(&followed, recovered).map(Ok)
+    Ok(Ok((reconstruction, followed, recovered)))
 }
 
-/// A clip with the sources of flow, masks and depth.
+/// The sources of flow, masks and depth of a clip.
 struct Reconstruction<'a> {
-    context: &'a Context<'a>,
-    images: Vec<&'a RgbImage>,
-    rate: FrameRate,
-    given: &'a Given,
+    context: Context<'a>,
     config: SparseConfig,
     flow: Box<MeasureFlow<'a>>,
     segmenter: Option<Box<Segmenter<'static>>>,
-    /// What networks know, unless the user gave depth.
+    /// What networks know of the frames with depth, unless the user gave depth.
     mono: Option<MonoClip>,
 }
 
 /// Cameras, and what was found with them.
 struct Pass {
+    /// Of the frames with depth.
     recovered: Recovered,
+    /// Of all frames, where these are more.
+    all: Option<SparseReconstruction>,
     dense: Dense,
     /// Whether lengths are metres.
     metric: bool,
 }
 
 impl<'a> Reconstruction<'a> {
-    fn new(clip: &'a Clip, context: &'a Context<'a>) -> Result<Self, Error> {
+    fn new(clip: &Clip, context: Context<'a>) -> Result<Self, Error> {
         let plan = context.plan;
-        let (images, given) = (clip.images(), &clip.given);
         let flow = plan.frontend.flow(
             context.settings().megasam.flow_iterations,
             &plan.device,
             context.steps,
         )?;
         let segmenter = plan.segmenter.load()?;
-        let mono = match given.depth {
+        let mono = match clip.given.depth {
             Some(_) => None,
-            None => plan
-                .frontend
-                .depth(&images, clip.focal_px, &plan.device, context.steps)?,
+            None => {
+                let all = clip.images();
+                let images: Vec<&RgbImage> = clip.for_depth().into_iter().map(|i| all[i]).collect();
+                plan.frontend
+                    .depth(&images, clip.focal_px, &plan.device, context.steps)?
+            }
         };
         let mut config = clip.sparse.clone();
         if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
@@ -111,9 +114,6 @@ impl<'a> Reconstruction<'a> {
         }
         Ok(Self {
             context,
-            images,
-            rate: clip.rate(),
-            given,
             config,
             flow,
             segmenter,
@@ -122,13 +122,13 @@ impl<'a> Reconstruction<'a> {
     }
 
     /// Tracks and cameras, with the advice that comes before all warnings.
-    fn first_cameras(&self) -> Result<(FeatureTracks, Recovered), Error> {
+    fn first_cameras(&self, clip: &Clip) -> Result<(FeatureTracks, Recovered), Error> {
         let held = Recording::holding(self.context.observer());
-        let outcome = self.cameras(self.context.steps.observed_by(&held));
+        let outcome = self.cameras(clip, self.context.steps.observed_by(&held));
         let is_flat = |(_, recovered): &(FeatureTracks, Recovered)| {
             recovered.sparse.camera_motion != CameraMotion::Parallax
         };
-        let lacks_depth = self.context.plan.frontend.lacks_depth && self.given.depth.is_none();
+        let lacks_depth = self.context.plan.frontend.lacks_depth && clip.given.depth.is_none();
         if lacks_depth && outcome.as_ref().is_ok_and(is_flat) {
             // before all other warnings of such a clip
             let warning = format!("this clip has no parallax to measure depth by: {DEPTH_WEIGHTS}");
@@ -144,34 +144,40 @@ impl<'a> Reconstruction<'a> {
         outcome
     }
 
+    /// Depth, masks and tracks of `clip`, which holds the frames `chosen` of those with cameras.
     fn run(
         &self,
+        clip: &Clip,
+        chosen: &[usize],
         followed: &FeatureTracks,
         recovered: Recovered,
     ) -> Result<(Pass, GeometrySummary), Error> {
-        let mut pass = self.pass("dense", recovered)?;
+        let mut pass = self.pass("dense", clip, chosen, recovered)?;
         let mut rounds = 1;
-        if self.given.masks.is_none() && self.given.cameras.is_none() {
-            let (first, frames) = (&pass.recovered.sparse, &mut pass.dense.frames);
+        if clip.given.masks.is_none() && clip.given.cameras.is_none() {
+            let first = pass.all.as_ref().unwrap_or(&pass.recovered.sparse);
+            let (frames, steps) = (&mut pass.dense.frames, self.context.steps);
             let better =
-                iterate::without_masked(followed, first, frames, &self.config, self.context.steps)?;
+                iterate::without_masked(followed, first, (frames, chosen), &self.config, steps)?;
             if let Some(better) = better {
                 // Memory holds one result at a time.
                 drop(pass);
-                pass = self.pass("second-dense", better)?;
+                pass = self.pass("second-dense", clip, chosen, better)?;
                 rounds = 2;
             }
         }
-        let summary = self.summary(&pass, rounds);
+        let summary = self.summary(clip, &pass, rounds);
         Ok((pass, summary))
     }
 
     /// Tracks and cameras.
-    fn cameras(&self, steps: Steps<'_>) -> Result<(FeatureTracks, Recovered), Error> {
-        let (images, config, masks) = (&self.images, &self.config, self.given.masks.as_deref());
+    fn cameras(&self, clip: &Clip, steps: Steps<'_>) -> Result<(FeatureTracks, Recovered), Error> {
+        let (config, given) = (&self.config, &clip.given);
+        let masks: Option<Vec<&Mask>> = given.masks.as_ref().map(|masks| masks.iter().collect());
+        let (images, masks) = (&clip.images(), masks.as_deref());
         let result = steps.keep("cameras", |observer| {
             let followed = sparse::track_features(images, config, observer)?;
-            let recovered = match &self.given.cameras {
+            let recovered = match &given.cameras {
                 Some(cameras) => followed.with_cameras(cameras, masks, config, observer)?,
                 None => followed.recover(masks, config, observer)?,
             };
@@ -181,13 +187,23 @@ impl<'a> Reconstruction<'a> {
     }
 
     /// Sets the unit of length, and estimates depth, masks and tracks as the step `name`.
-    fn pass(&self, name: &str, mut recovered: Recovered) -> Result<Pass, Error> {
+    fn pass(
+        &self,
+        name: &str,
+        clip: &Clip,
+        chosen: &[usize],
+        mut recovered: Recovered,
+    ) -> Result<Pass, Error> {
+        let given = &clip.given;
         let (settings, observer) = (self.context.settings(), self.context.observer());
         for warning in &recovered.sparse.warnings {
             observer.warn(warning);
         }
-        let mono = self.given.depth.as_ref().or(self.mono.as_ref());
-        let posed = self.given.cameras.is_some();
+        let thinned = (chosen.len() < recovered.sparse.cameras.len())
+            .then(|| recovered.sparse.at_frames(chosen));
+        let all = thinned.map(|thinned| std::mem::replace(&mut recovered.sparse, thinned));
+        let mono = given.depth.as_ref().or(self.mono.as_ref());
+        let posed = given.cameras.is_some();
         let metric = set_unit(mono, &mut recovered.sparse, posed, observer)?;
         // In a unit in which the scene is about 1 away, as the settings expect.
         let unit = unit(mono, &recovered.sparse, posed);
@@ -199,11 +215,11 @@ impl<'a> Reconstruction<'a> {
             segmenter: self.segmenter.as_deref(),
             mono,
         };
-        let masks = self.given.masks.as_deref();
+        let (images, masks) = (clip.images(), given.masks.as_deref());
         let estimated = self.context.steps.keep(name, |observer| {
             estimate(
-                &self.images,
-                self.rate,
+                &images,
+                clip.rate(),
                 sparse,
                 &sources,
                 masks,
@@ -211,7 +227,7 @@ impl<'a> Reconstruction<'a> {
                 observer,
             )
         })?;
-        let mut dense = estimated.enlarge(&self.images, observer)?;
+        let mut dense = estimated.enlarge(&images, observer)?;
         if unit != 1.0 {
             for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
                 *z *= unit as f32;
@@ -220,16 +236,17 @@ impl<'a> Reconstruction<'a> {
         }
         Ok(Pass {
             recovered,
+            all,
             dense,
             metric,
         })
     }
 
     /// Grades the result, warns of a doubtful one, and describes it.
-    fn summary(&self, pass: &Pass, rounds: usize) -> GeometrySummary {
-        let (sparse, dense, plan) = (&pass.recovered.sparse, &pass.dense, self.context.plan);
-        let known_depth = self
-            .given
+    fn summary(&self, clip: &Clip, pass: &Pass, rounds: usize) -> GeometrySummary {
+        let (dense, plan, given) = (&pass.dense, self.context.plan, &clip.given);
+        let sparse = pass.all.as_ref().unwrap_or(&pass.recovered.sparse);
+        let known_depth = given
             .depth
             .as_ref()
             .and_then(|depth| depth.metric_m.as_deref())
@@ -243,7 +260,7 @@ impl<'a> Reconstruction<'a> {
             });
         let around = Circumstances {
             camera_motion: sparse.camera_motion,
-            masks_given: self.given.masks.is_some(),
+            masks_given: given.masks.is_some(),
             tied: pass.recovered.tied,
             depth_given: known_depth.is_some(),
             depth_predicted: self.mono.is_some(),
@@ -285,7 +302,7 @@ impl<'a> Reconstruction<'a> {
             frontend: plan.frontend.frontend.to_string(),
             networks: plan.frontend.used.clone(),
             segmenter: plan.segmenter.name().to_owned(),
-            given: self.given.names(),
+            given: given.names(),
             rounds,
             confidence: Some(confidence),
             ..GeometrySummary::default()

@@ -3,13 +3,15 @@
 //! Geometry also uses frames between those that `max_frames` keeps; the capture does not. Flow,
 //! masks and tracks need small steps from frame to frame: where a clip is thinned, an object moves
 //! too far from one kept frame to the next, so geometry runs on up to [`MOST_PER_STEP`] frames per
-//! kept one.
+//! kept one. Of a long clip more frames than these are used for the cameras alone: tracks need
+//! smaller steps still, and cost little.
 
 use super::Context;
 use super::footage::{self, Chosen, Footage};
 use super::frontend::Plan;
 use super::given::Given;
 use crate::{Error, Refusal, Settings};
+use m4_core::advice::FRAMES;
 use m4_core::{
     Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, RgbImage, Tracks,
     Video,
@@ -29,6 +31,7 @@ pub(super) struct Clip {
     pub focal_px: Option<f64>,
     /// What was done about cuts, bars and the like.
     pub footage: Option<Footage>,
+    between: Between,
 }
 
 /// What geometry finds of a frame.
@@ -47,9 +50,16 @@ impl Clip {
     /// they are.
     pub fn read(input: &Path, between: Between, context: &Context<'_>) -> Result<Self, Error> {
         let (settings, observer) = (context.settings(), context.observer());
-        let options = between.to_read(&settings.video);
         let frames = |options: &VideoOptions| m4_io::video::read(input, options, observer);
-        let video = frames(&options)?;
+        let mut between = between;
+        let mut options = between.to_read(&settings.video);
+        let mut video = frames(&options)?;
+        if between.track_more(&video, settings.video.max_memory_bytes) {
+            drop(video);
+            options = between.to_read(&settings.video);
+            video = frames(&options)?;
+        }
+        let read = video.in_range;
         for warning in &video.warnings {
             observer.warn(warning);
         }
@@ -86,11 +96,40 @@ impl Clip {
             sparse,
             focal_px,
             footage,
+            between,
         };
+        clip.tell_frames(read, observer);
         if let Some(lens) = &lens {
             clip.straighten(lens)?;
         }
         Ok(clip)
+    }
+
+    /// The frames that get depth, of all.
+    pub fn for_depth(&self) -> Vec<usize> {
+        self.between.for_depth(self.video.frames.len())
+    }
+
+    /// Drops all frames but [`for_depth`](Self::for_depth), and returns these.
+    pub fn keep_for_depth(&mut self) -> Vec<usize> {
+        let chosen = self.for_depth();
+        let frames = &mut self.video.frames;
+        for (to, &from) in chosen.iter().enumerate() {
+            frames.swap(to, from);
+        }
+        frames.truncate(chosen.len());
+        chosen
+    }
+
+    /// Says which frames of a long clip of `count` frames are used for what.
+    fn tell_frames(&self, count: usize, observer: &dyn Progress) {
+        let (tracked, chosen) = (self.video.frames.len(), self.for_depth().len());
+        if chosen < tracked {
+            observer.warn(&format!(
+                "the clip is long: of its {count} frames {tracked} are used for the cameras, and {chosen}, evenly spread, for depth \
+                 and training; for more detail or less time {FRAMES}"
+            ));
+        }
     }
 
     /// The images.
@@ -169,11 +208,21 @@ const MOST_PER_STEP: usize = 4;
 /// dense stage holds at 480x360.
 const MOST_FRAMES: usize = 240;
 
-/// How many frames are kept, and how many are read for geometry.
+/// Frames that get depth where the user sets no number: at 360p their planes fit the default memory
+/// of the dense stage with little shrinking, and they are a fifth of a second apart in a minute.
+const MOST_WITH_DEPTH: usize = 300;
+/// Frames that are read for the cameras: a minute and a half at 30 frames per second. At 640 pixels
+/// they take 2 to 3 GB, less than what the depth of the others takes afterwards.
+const MOST_TRACKED: usize = 2700;
+
+/// How many frames are kept, how many get depth, and how many are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Between {
     n_kept: Option<usize>,
+    n_depth: Option<usize>,
     n_read: Option<usize>,
+    /// Whether cameras may use more frames than depth does.
+    tracks_more: bool,
 }
 
 impl Between {
@@ -181,10 +230,17 @@ impl Between {
     /// which follow longer steps and cost more per frame than all the rest.
     pub fn of(settings: &Settings, plan: &Plan) -> Self {
         let n_kept = settings.video.max_frames;
+        let tracks_more = !plan.is_megasam() && !settings.geometry.per_frame_given();
         let small_steps =
             !plan.is_megasam() && plan.used.is_empty() && !settings.geometry.any_given();
         let n_read = n_kept.map(|n_kept| if small_steps { to_read(n_kept) } else { n_kept });
-        Self { n_kept, n_read }
+        let all = tracks_more.then_some(MOST_TRACKED);
+        Self {
+            n_kept,
+            n_depth: n_read.or(tracks_more.then_some(MOST_WITH_DEPTH)),
+            n_read: n_read.or(all),
+            tracks_more,
+        }
     }
 
     /// The options with which the clip is read.
@@ -193,6 +249,26 @@ impl Between {
             max_frames: self.n_read,
             ..video.clone()
         }
+    }
+
+    /// Reads more frames from now on than get depth, as many as `memory_bytes` hold, if the clip is
+    /// long and `video` shows it thinned: tracks would break. True if that changes what is read.
+    fn track_more(&mut self, video: &Video, memory_bytes: u64) -> bool {
+        let frame = video.frames.first().map_or(0, |f| f.rgb.data().len());
+        let frame_bytes = (size_of::<[u8; 3]>() * frame.max(1)) as u64;
+        let most = (memory_bytes / frame_bytes).min(MOST_TRACKED as u64) as usize;
+        let more = self.tracks_more
+            && video.in_range > MOST_WITH_DEPTH
+            && video.frames.len() < video.in_range.min(most);
+        if more {
+            self.n_read = Some(most);
+        }
+        more
+    }
+
+    /// Of `count` frames that were read those that get depth.
+    fn for_depth(self, count: usize) -> Vec<usize> {
+        evenly(count, self.n_depth)
     }
 
     /// Keeps the frames that were asked for, with their times; tracks lose the others.
@@ -235,9 +311,9 @@ fn to_read(n_kept: usize) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::{Between, MOST_FRAMES, to_read};
+    use super::{Between, MOST_FRAMES, MOST_TRACKED, MOST_WITH_DEPTH, to_read};
     use crate::Silent;
-    use m4_core::{Capture, Tracks};
+    use m4_core::{Capture, Plane, Tracks, Video, VideoFrame};
     use m4_io::video::evenly;
     use m4_testkit::clips::plain_clip;
 
@@ -268,11 +344,13 @@ mod tests {
             tracks,
             ..plain_clip(9, (2, 1))
         };
-        let between = Between {
-            n_kept: Some(3),
-            n_read: Some(9),
+        let between = |n_kept: usize, n_read: usize| Between {
+            n_kept: Some(n_kept),
+            n_depth: Some(n_read),
+            n_read: Some(n_read),
+            tracks_more: true,
         };
-        let thin = between.keep(capture.clone(), &Silent).unwrap();
+        let thin = between(3, 9).keep(capture.clone(), &Silent).unwrap();
         let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();
         assert_eq!((times, thin.time_frames), (vec![0.0, 4.0, 8.0], 9));
         let tracks = thin.tracks.unwrap();
@@ -280,10 +358,61 @@ mod tests {
             (tracks.frames(), tracks.place(1, 0)),
             (3, Some([4.0, 0.0, 1.0]))
         );
-        let all = Between {
-            n_kept: Some(20),
-            n_read: Some(77),
+        let all = between(20, 77).keep(capture, &Silent).unwrap();
+        assert_eq!(all.frames.len(), 9);
+    }
+
+    /// A clip of `in_range` frames of which `count` were read.
+    fn video(count: usize, in_range: usize) -> Video {
+        let frame = |i: usize| VideoFrame {
+            rgb: Plane::filled(2, 2, [0; 3]),
+            time_s: i as f64,
         };
-        assert_eq!(all.keep(capture, &Silent).unwrap().frames.len(), 9);
+        Video {
+            frames: (0..count).map(frame).collect(),
+            in_range,
+            warnings: Vec::new(),
+            focal_px: None,
+        }
+    }
+
+    #[test]
+    fn long_clips_have_more_frames_for_cameras_than_for_depth() {
+        let mut all = Between {
+            n_kept: None,
+            n_depth: Some(MOST_WITH_DEPTH),
+            n_read: Some(MOST_TRACKED),
+            tracks_more: true,
+        };
+        let memory = u64::MAX;
+        assert!(!all.track_more(&video(300, 300), memory));
+        assert_eq!(all.for_depth(300), (0..300).collect::<Vec<_>>());
+        assert!(!all.track_more(&video(1500, 1500), memory));
+        let chosen = all.for_depth(1500);
+        assert_eq!((chosen.len(), chosen[0], chosen[299]), (300, 0, 1499));
+        assert!(chosen.windows(2).all(|w| (5..=6).contains(&(w[1] - w[0]))));
+        // 24 are kept: depth has 93, cameras as many as memory holds
+        let mut few = Between {
+            n_kept: Some(24),
+            n_depth: Some(93),
+            n_read: Some(93),
+            tracks_more: true,
+        };
+        assert!(!few.track_more(&video(93, 250), memory));
+        assert_eq!(few.n_read, Some(93));
+        assert!(few.track_more(&video(93, 9000), memory));
+        assert_eq!(few.n_read, Some(MOST_TRACKED));
+        assert_eq!(few.for_depth(MOST_TRACKED).len(), 93);
+        let mut few = Between {
+            n_read: Some(93),
+            ..few
+        };
+        assert!(few.track_more(&video(93, 9000), 12 * 500) && few.n_read == Some(500));
+        let mut given = Between {
+            tracks_more: false,
+            n_read: Some(93),
+            ..few
+        };
+        assert!(!given.track_more(&video(93, 9000), memory));
     }
 }

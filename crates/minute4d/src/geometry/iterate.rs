@@ -11,6 +11,7 @@ use m4_core::{Mask, Plane, Sim3, median, nalgebra::Vector3};
 use m4_geometry::classical::dense::DenseFrame;
 use m4_geometry::classical::sparse::{FeatureTracks, Recovered, SparseConfig, SparseError};
 use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
+use std::borrow::Borrow;
 use std::collections::HashMap;
 
 /// Changes of what cameras see above this many pixels matter.
@@ -28,18 +29,22 @@ const POINTS_A_FRAME: usize = 10;
 const STATIC_SHARE: f64 = 0.9;
 
 /// Cameras from tracks outside the masks of `frames`, if they differ enough from the `first` ones
-/// for depth and masks to be estimated again.
+/// for depth and masks to be estimated again. `frames` are those with the indices `chosen` of all
+/// frames; the mask of the nearest of them holds for the others.
 pub(super) fn without_masked(
     followed: &FeatureTracks,
     first: &SparseReconstruction,
-    frames: &mut [DenseFrame],
+    (frames, chosen): (&mut [DenseFrame], &[usize]),
     config: &SparseConfig,
     steps: Steps<'_>,
 ) -> Result<Option<Recovered>, Error> {
     const PHASE: &str = "cameras from static points";
-    let masks: Vec<Mask> = frames
+    let own: Vec<Mask> = frames
         .iter_mut()
         .map(|f| std::mem::replace(&mut f.mask, Plane::filled(0, 0, 0)))
+        .collect();
+    let masks: Vec<&Mask> = (0..first.cameras.len())
+        .map(|i| &own[nearest(chosen, i)])
         .collect();
     let mut result = None;
     if worth(first, &masks) {
@@ -65,10 +70,20 @@ pub(super) fn without_masked(
         observer.update(PHASE, 1, 1, &note);
         result = second.filter(|_| change.is_some_and(|change| change.matters()));
     }
-    for (frame, mask) in frames.iter_mut().zip(masks) {
+    for (frame, mask) in frames.iter_mut().zip(own) {
         frame.mask = mask;
     }
     Ok(result)
+}
+
+/// Which of `chosen`, rising, is nearest to `frame`.
+fn nearest(chosen: &[usize], frame: usize) -> usize {
+    let after = chosen
+        .partition_point(|&i| i < frame)
+        .min(chosen.len().saturating_sub(1));
+    let before = after.saturating_sub(1);
+    let nearer = chosen[before].abs_diff(frame) <= chosen[after].abs_diff(frame);
+    if nearer { before } else { after }
 }
 
 /// How a second reconstruction differs from the first.
@@ -191,12 +206,13 @@ fn shift_px(
 }
 
 /// Whether most of a track lies within masks (above 0) of the size of the frames.
-fn within(masks: &[Mask], track: &Track) -> bool {
+fn within(masks: &[impl Borrow<Mask>], track: &Track) -> bool {
     let observations = masks
         .iter()
         .skip(track.first_frame)
         .zip(&track.observations);
     let inside = observations.filter(|(mask, at)| {
+        let mask: &Mask = (**mask).borrow();
         let cell = |v: f32, n: usize| ((v + 0.5).max(0.0) as usize).min(n.saturating_sub(1));
         mask[(cell(at[0], mask.width()), cell(at[1], mask.height()))] > 0
     });
@@ -205,9 +221,9 @@ fn within(masks: &[Mask], track: &Track) -> bool {
 
 /// Whether other cameras are to be expected: there is parallax, masks do not cover everything, and
 /// in some frame they hold a share of what the cameras were estimated from.
-fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
+fn worth(sparse: &SparseReconstruction, masks: &[impl Borrow<Mask>]) -> bool {
     if sparse.camera_motion != CameraMotion::Parallax
-        || masks.iter().flat_map(|m| m.data()).all(|m| *m > 0)
+        || masks.iter().flat_map(|m| m.borrow().data()).all(|m| *m > 0)
     {
         return false;
     }

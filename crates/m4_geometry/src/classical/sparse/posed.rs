@@ -37,7 +37,7 @@ impl FeatureTracks {
     pub fn with_cameras(
         &self,
         cameras: &[Camera],
-        masks: Option<&[Mask]>,
+        masks: Option<&[&Mask]>,
         config: &SparseConfig,
         progress: &dyn Progress,
     ) -> Result<Recovered, SparseError> {

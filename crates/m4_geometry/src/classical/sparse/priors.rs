@@ -41,7 +41,7 @@ const MASKED_SHARE: f64 = 0.5;
 
 /// Separates the tracks that count from those in masks.
 pub(super) fn part(
-    masks: Option<&[Mask]>,
+    masks: Option<&[&Mask]>,
     tracks: Vec<RawTrack>,
     size: WorkingSize,
 ) -> (Vec<RawTrack>, Vec<RawTrack>) {
@@ -123,7 +123,11 @@ mod tests {
             half,
             Plane::filled(20, 10, 0),
         ];
-        let (unmasked, masked) = part(Some(&masks), vec![track(-20.0), track(20.0)], size);
+        let (unmasked, masked) = part(
+            Some(&masks.each_ref()),
+            vec![track(-20.0), track(20.0)],
+            size,
+        );
         assert_eq!((unmasked, masked), (vec![track(-20.0)], vec![track(20.0)]));
         let (unmasked, masked) = part(None, vec![track(20.0)], size);
         assert_eq!((unmasked.len(), masked.len()), (1, 0));

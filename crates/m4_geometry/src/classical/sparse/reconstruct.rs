@@ -28,7 +28,7 @@ const DOUBTFUL: f64 = 5.0;
 /// Cameras, tracks and points of a clip from its feature tracks.
 pub(super) fn from_tracks(
     features: FeatureTracks,
-    masks: Option<&[Mask]>,
+    masks: Option<&[&Mask]>,
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<Recovered, SparseError> {
@@ -118,7 +118,7 @@ pub(super) struct SparseProblem<'a> {
 impl<'a> SparseProblem<'a> {
     pub(super) fn new(
         features: FeatureTracks,
-        masks: Option<&[Mask]>,
+        masks: Option<&[&Mask]>,
         lenses: Lenses,
         config: &'a SparseConfig,
         progress: &'a dyn Progress,
@@ -389,7 +389,7 @@ impl FeatureTracks {
     /// scene, for masks of another number than that of the frames, and when the user stops the run.
     pub fn recover(
         &self,
-        masks: Option<&[Mask]>,
+        masks: Option<&[&Mask]>,
         config: &SparseConfig,
         progress: &dyn Progress,
     ) -> Result<Recovered, SparseError> {

@@ -542,7 +542,7 @@ fn given_cameras_that_contradict_the_images_are_rejected() {
 fn tracks_in_given_masks_are_dynamic_and_excluded() {
     let (tracks, _) = ROOM.tracks();
     let left = Plane::from_fn(64, 48, |x, _| u8::from(x < 16));
-    let masks = vec![left; ROOM.frames];
+    let masks = vec![&left; ROOM.frames];
     let count = tracks.len();
     let features = features(tracks, ROOM.frames);
     let result = from_tracks(features, Some(&masks), &SparseConfig::default(), &Silent);
