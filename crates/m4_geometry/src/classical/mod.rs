@@ -87,7 +87,7 @@ impl SparseReconstruction {
                 .iter()
                 .map_while(|&i| track.at(i))
                 .collect();
-            (!observations.is_empty()).then(|| Track {
+            (!observations.is_empty()).then_some(Track {
                 first_frame,
                 observations,
                 ..*track

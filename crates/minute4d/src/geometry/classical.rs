@@ -54,12 +54,15 @@ pub(super) fn compute(
     Ok((clip.capture(frames, pass.metric, dense.tracks), summary))
 }
 
+/// What goes on to depth: the sources, and tracks and cameras of all frames.
+type Tracked<'a> = (Reconstruction<'a>, FeatureTracks, Recovered);
+
 /// Cameras of all frames of `clip` as of a pinhole; the inner error is the lens that it turns out
 /// to have.
 fn attempt<'a>(
     clip: &Clip,
     context: Context<'a>,
-) -> Result<Result<(Reconstruction<'a>, FeatureTracks, Recovered), RadialDistortion>, Error> {
+) -> Result<Result<Tracked<'a>, RadialDistortion>, Error> {
     let mut reconstruction = Reconstruction::new(clip, context)?;
     let (followed, recovered) = reconstruction.first_cameras(clip)?;
     if let Some(lens) = recovered.distortion {

@@ -93,8 +93,11 @@ impl SparseProblem<'_> {
     }
 }
 
-/// Tracks and positions by frame.
-type Sightings = BTreeMap<usize, Vec<(usize, [f64; 2])>>;
+/// The track of an earlier point, and where it is in a later frame.
+type Sighted = (usize, [f64; 2]);
+
+/// The same by frame.
+type Sightings = BTreeMap<usize, Vec<Sighted>>;
 
 fn again(tracks: &[RawTrack]) -> Sightings {
     let mut frames = Sightings::new();
@@ -123,10 +126,10 @@ fn place(
     map: &Map,
     tracks: &[RawTrack],
     frame: usize,
-    sightings: &[(usize, [f64; 2])],
-) -> Option<(Revisit, Vec<(usize, [f64; 2])>)> {
+    sightings: &[Sighted],
+) -> Option<(Revisit, Vec<Sighted>)> {
     let pose_now = map.poses[frame]?;
-    let (held, points): (Vec<(usize, [f64; 2])>, Vec<Sighting>) = sightings
+    let (held, points): (Vec<Sighted>, Vec<Sighting>) = sightings
         .iter()
         .filter_map(|&(i, at)| Some(((i, at), (map.points[i]?, at))))
         .unzip();

@@ -120,10 +120,10 @@ impl Map {
 
     /// Adjusts all poses and points, and the focal length if `free_focal`.
     ///
-    /// Of a long clip every n-th frame is adjusted with the points, and the frames that show earlier
-    /// points again; the frames between follow the points, and points that hardly any of the
-    /// adjusted frames sees are triangulated anew. All frames at once would take work that grows
-    /// with the square of the length of tracks.
+    /// Of a long clip every n-th frame is adjusted with the points, and the frames that show
+    /// earlier points again; the frames between follow the points, and points that hardly any of
+    /// the adjusted frames sees are triangulated anew. All frames at once would take work that
+    /// grows with the square of the length of tracks.
     ///
     /// It ends early when the user asks to stop; what is found then is not to be used.
     pub fn adjust(
