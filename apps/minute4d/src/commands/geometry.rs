@@ -82,6 +82,9 @@ pub fn describe(record: &GeometryRecord, asked: &GeometryOptions, output: &Outpu
     if let Some(confidence) = &summary.confidence {
         output.note(&confidence.description());
     }
+    if let Some(objects) = summary.objects_description() {
+        output.note(&objects);
+    }
     let mut warnings = record.warnings.iter();
     if warnings.any(|warning| warning.contains(DEPTH_WEIGHTS)) {
         return;

@@ -301,6 +301,7 @@ impl<'a> Reconstruction<'a> {
             tracks: sparse.tracks.len(),
             points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
             moving_tracks: dense.tracks.as_ref().map_or(0, Tracks::count),
+            objects: dense.objects.clone(),
             moving_share: dynamic.count() as f64 / pixels.max(1) as f64,
             frontend: plan.frontend.frontend.to_string(),
             networks: plan.frontend.used.clone(),

@@ -4,6 +4,8 @@ use super::{Confidence, Footage};
 use crate::networks::UsedNetwork;
 use crate::settings::{FrontendPart, GeometryOptions, Segmenter};
 use m4_core::advice::{DEPTH_WEIGHTS, MASK_WEIGHTS};
+use m4_core::median;
+use m4_geometry::classical::dense::{DistanceCue, DynamicObject};
 use m4_geometry::classical::sparse::RadialDistortion;
 use serde::{Deserialize, Serialize};
 
@@ -35,6 +37,10 @@ pub struct GeometrySummary {
     /// Number of point tracks in dynamic regions, in `tracks.npz`.
     #[serde(default)]
     pub moving_tracks: usize,
+    /// Dynamic objects, what gives their distance, and how sure it is; none where depth was given
+    /// or predicted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub objects: Vec<DynamicObject>,
     /// The front end: `classical`, `raft`, `megasam+raft+moge`, ...
     #[serde(default)]
     pub frontend: String,
@@ -66,8 +72,10 @@ pub struct GeometrySummary {
     pub confidence: Option<Confidence>,
 }
 
-/// Shares of pixels with measured depth below which a network's would help.
+/// Share of pixels with measured depth below which a network's would help.
 const LITTLE_DEPTH: f64 = 0.35;
+/// Share of the dynamic pixels whose distance is assumed above which it would help, too.
+const MUCH_ASSUMED: f64 = 0.3;
 
 impl GeometrySummary {
     /// Returns the advice to get the weights that would help this clip most, of those that `asked`
@@ -81,7 +89,9 @@ impl GeometrySummary {
         let lacks_depth = asked.frontend.is_auto()
             && self.frontend == FrontendPart::Classical.name()
             && !self.given.iter().any(|given| given == "depth")
-            && (self.camera_motion != "parallax" || self.confidence.as_ref().is_some_and(little));
+            && (self.camera_motion != "parallax"
+                || self.confidence.as_ref().is_some_and(little)
+                || self.assumed_share() > MUCH_ASSUMED);
         let lacks_masks = asked.segmenter == Segmenter::Auto
             && self.segmenter == Segmenter::None.name()
             && self.keyframes.is_none()
@@ -95,6 +105,43 @@ impl GeometrySummary {
     }
 }
 
+impl GeometrySummary {
+    /// Returns how far the distances of dynamic objects can be trusted, in one line; `None` where
+    /// there are none.
+    pub fn objects_description(&self) -> Option<String> {
+        let mut parts = Vec::new();
+        for (cue, by) in [
+            (DistanceCue::Contact, "by the ground under them"),
+            (DistanceCue::FixedPoint, "by a point that stays in place"),
+            (DistanceCue::Ballistic, "by their fall"),
+            (DistanceCue::Assumed, "assumed"),
+        ] {
+            let mut sigmas: Vec<f64> = self
+                .objects
+                .iter()
+                .filter(|object| object.cue == cue)
+                .map(|object| object.sigma_percent)
+                .collect();
+            let count = sigmas.len();
+            if let Some(sigma) = median(&mut sigmas) {
+                parts.push(format!("{count} {by} (to {sigma:.0} %)"));
+            }
+        }
+        (!parts.is_empty()).then(|| format!("distance of dynamic objects: {}", parts.join(", ")))
+    }
+
+    /// The share of the dynamic pixels of objects whose distance is assumed, 0..1.
+    fn assumed_share(&self) -> f64 {
+        let pixels = |object: &DynamicObject| object.share * object.frames as f64;
+        let assumed = self
+            .objects
+            .iter()
+            .filter(|object| object.cue == DistanceCue::Assumed);
+        let all = self.objects.iter().map(pixels).sum::<f64>();
+        assumed.map(pixels).sum::<f64>() / all.max(f64::MIN_POSITIVE)
+    }
+}
+
 /// Defaults for records of earlier releases.
 fn once() -> usize {
     1
@@ -102,7 +149,10 @@ fn once() -> usize {
 
 #[cfg(all(test, feature = "nets"))]
 mod tests {
-    use super::{Confidence, DEPTH_WEIGHTS, GeometryOptions, GeometrySummary, MASK_WEIGHTS};
+    use super::{
+        Confidence, DEPTH_WEIGHTS, DistanceCue, DynamicObject, GeometryOptions, GeometrySummary,
+        MASK_WEIGHTS,
+    };
     use crate::geometry::{Focal, Grade};
 
     #[test]
@@ -143,6 +193,33 @@ mod tests {
             s.confidence.as_mut().unwrap().measured_share = 0.1;
         };
         assert_eq!(change(&blind), Some(DEPTH_WEIGHTS));
+        let object = |cue: DistanceCue, frames: usize, sigma_percent: f64| DynamicObject {
+            first_frame: 0,
+            frames,
+            share: 0.1,
+            cue,
+            sigma_percent,
+        };
+        let objects = vec![
+            object(DistanceCue::Contact, 40, 6.0),
+            object(DistanceCue::Assumed, 20, 50.0),
+        ];
+        let hovers = |s: &mut GeometrySummary| s.objects.clone_from(&objects);
+        assert_eq!(change(&hovers), Some(DEPTH_WEIGHTS));
+        let described = GeometrySummary {
+            objects: objects.clone(),
+            ..summary.clone()
+        };
+        assert_eq!(
+            described.objects_description().as_deref(),
+            Some(
+                "distance of dynamic objects: 1 by the ground under them (to 6 %), 1 assumed (to 50 %)"
+            )
+        );
+        assert_eq!(
+            change(&|s| s.objects = objects[..1].to_vec()),
+            Some(MASK_WEIGHTS)
+        );
         let predicted = |s: &mut GeometrySummary| {
             tripod(s);
             s.frontend = "classical+moge".to_owned();

@@ -7,7 +7,7 @@ use super::motion_segmentation::{self, MotionSegmentation};
 use super::shot::{Shot, sparse_points};
 use super::sources::{DenseConfig, DenseError, Sources};
 use super::working::{Ground, WorkingClip, each, mask_at_size, try_each};
-use super::{layers, moving_depth, rigid_objects, static_depth, tracks};
+use super::{DynamicObject, layers, moving_depth, rigid_objects, static_depth, tracks};
 use crate::FrameRate;
 use crate::classical::{CameraMotion, SparseReconstruction, check_count};
 use crate::flow::{FlowPair, ScaledFrame};
@@ -34,6 +34,8 @@ pub struct Dense {
     /// Dynamic points, tracked through the clip, in the unit of the cameras; `None` where nothing
     /// could be tracked or tracks are disabled.
     pub tracks: Option<Tracks>,
+    /// Dynamic objects whose distance was estimated, in order of their first frames.
+    pub objects: Vec<DynamicObject>,
 }
 
 /// Fewer frames have no background that is seen most of the time.
@@ -54,6 +56,7 @@ pub struct Estimate {
     #[serde(with = "m4_core::packed::lists")]
     moving: Vec<Vec<u8>>,
     tracks: Option<Tracks>,
+    objects: Vec<DynamicObject>,
 }
 
 /// Estimates depth, motion masks and confidence of every frame and tracks of dynamic objects, given
@@ -142,9 +145,10 @@ pub fn estimate(
     } else {
         layers::place(&scene, &shots)
     };
-    if parallax && ground.one_lens {
-        rigid_objects::place(&scene, |i| clip.smoother(i), &mut disparity, progress)?;
-    }
+    let mut objects = match parallax && ground.one_lens {
+        true => rigid_objects::place(&scene, |i| clip.smoother(i), &mut disparity, progress)?,
+        false => Vec::new(),
+    };
     for ((disparity, refined), dynamic) in disparity.iter_mut().zip(refined).zip(&dynamic) {
         for ((d, refined), _) in disparity
             .iter_mut()
@@ -160,6 +164,9 @@ pub fn estimate(
             mono.place_dynamic(i, &measured[i], &filled[i], &dynamic[i], &mut disparity[i]);
         }
         mono.overrule(i, &mut disparity[i]);
+    }
+    if !mono.is_empty() {
+        objects.clear(); // their depth is that of the prior
     }
     let scene = WorkingClip {
         disparity: &disparity,
@@ -179,6 +186,7 @@ pub fn estimate(
         confidence,
         moving: dynamic,
         tracks,
+        objects,
     })
 }
 
@@ -210,6 +218,7 @@ impl Estimate {
         Ok(Dense {
             frames,
             tracks: self.tracks,
+            objects: self.objects,
         })
     }
 }

@@ -15,6 +15,7 @@
 mod ballistic;
 mod flight;
 mod ground;
+mod hinge;
 mod rigid;
 mod scale;
 mod tracklet;
@@ -52,15 +53,50 @@ fn shortest(clip: &WorkingClip<'_>) -> usize {
 /// A part that was adjusted, and what its frames say about its scale.
 type Body<'a> = (&'a Tracklet, rigid::Shape, scale::Reading);
 
+/// What gives the distance of a dynamic object.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DistanceCue {
+    /// The ground under it.
+    Contact,
+    /// A point that stays in place while the object turns or swings about it.
+    FixedPoint,
+    /// Its fall.
+    Ballistic,
+    /// Nothing: it is taken to be as far as the others, in front of what it hides.
+    Assumed,
+}
+
+/// A dynamic object in consecutive frames.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct DynamicObject {
+    /// Its first frame.
+    pub first_frame: usize,
+    /// Number of frames.
+    pub frames: usize,
+    /// Its mean share of the image, 0..1.
+    pub share: f64,
+    /// What gives its distance.
+    pub cue: DistanceCue,
+    /// Standard deviation of its distance, per cent.
+    pub sigma_percent: f64,
+}
+
+/// Standard deviation of the logarithm of the distance by a fall, and of an assumed one.
+const BALLISTIC_SIGMA: f64 = 0.12;
+const ASSUMED_SIGMA: f64 = 0.5;
+/// Standard deviations by which a fall may be off the distance of an object with a fixed point.
+const HINGE_SIGMAS: f64 = 2.0;
+
 /// Replaces the disparity of dynamic parts, `[height][width]` by frame, where a part could be
 /// followed long enough to be understood as a rigid object; what flies takes its distance from how
-/// it falls, where there is a ground.
+/// it falls, where there is a ground. Returns these objects, in order of their first frames.
 pub(super) fn place<'s>(
     clip: &WorkingClip<'_>,
     smoother: impl Fn(usize) -> Smoother + Sync + 's,
     disparity: &mut [Vec<f32>],
     progress: &dyn Progress,
-) -> Result<(), DenseError> {
+) -> Result<Vec<DynamicObject>, DenseError> {
     let tracklets = follow(clip);
     let before: &[Vec<f32>] = disparity;
     let bodies = each(tracklets.len(), "shaping moving parts", progress, |i| {
@@ -81,9 +117,10 @@ pub(super) fn place<'s>(
         .zip(&scales)
         .map(|((t, _, _), s)| vec![*s; t.parts.len()])
         .collect();
-    if let Some(ground) = ground::find(clip) {
-        fall(clip, &ground, &bodies, &mut scales);
-    }
+    let flies = match ground::find(clip) {
+        Some(ground) => fall(clip, &ground, &bodies, &mut scales),
+        None => vec![false; bodies.len()],
+    };
     // Part by part onto the pixels, along the edges of the image.
     let mut values: Vec<Vec<(u32, f32)>> = vec![Vec::new(); disparity.len()];
     for ((tracklet, shape, _), scale) in bodies.iter().zip(&scales) {
@@ -99,16 +136,44 @@ pub(super) fn place<'s>(
                 spread(clip, i, &smoother(i), &bodies, &values[i], disparity);
             }
         });
-    Ok(())
+    let mut objects: Vec<DynamicObject> = bodies
+        .iter()
+        .zip(flies)
+        .map(|(body, flies)| describe(clip, body, flies))
+        .collect();
+    objects.sort_by_key(|object| object.first_frame);
+    Ok(objects)
 }
 
-/// Corrects the scales (by body and frame) of what flies.
+fn describe(
+    clip: &WorkingClip<'_>,
+    (tracklet, _, reading): &Body<'_>,
+    flies: bool,
+) -> DynamicObject {
+    let (cue, sigma) = match reading.decision {
+        _ if flies => (DistanceCue::Ballistic, BALLISTIC_SIGMA),
+        Some(decision) => (decision.cue, decision.vote.sigma),
+        None => (DistanceCue::Assumed, ASSUMED_SIGMA),
+    };
+    let frames = tracklet.parts.len();
+    let pixels: usize = tracklet.parts.iter().map(Vec::len).sum();
+    DynamicObject {
+        first_frame: tracklet.first,
+        frames,
+        share: pixels as f64 / (frames * clip.width * clip.height) as f64,
+        cue,
+        sigma_percent: 100.0 * sigma,
+    }
+}
+
+/// Corrects the scales (by body and frame) of what flies, and returns which bodies do.
 fn fall(
     clip: &WorkingClip<'_>,
     ground: &ground::Ground,
     bodies: &[Body<'_>],
     scales: &mut [Vec<f32>],
-) {
+) -> Vec<bool> {
+    let mut flies = vec![false; bodies.len()];
     let typical = |shape: &rigid::Shape, k: usize| {
         let mut all: Vec<f32> = shape.values(clip, k).map(|(_, d)| d).collect();
         quantile(&mut all, 0.5)
@@ -126,12 +191,30 @@ fn fall(
         .collect();
     let tracklets: Vec<&Tracklet> = bodies.iter().map(|(t, _, _)| *t).collect();
     let Some(flying) = ballistic::depths(clip, ground, &tracklets, &depth) else {
-        return;
+        return flies;
     };
-    for (((tracklet, shape, _), flying), scales) in bodies.iter().zip(&flying).zip(scales) {
-        if flying.iter().all(Option::is_none) {
+    for (((((tracklet, shape, reading), flying), scales), flies), depth) in bodies
+        .iter()
+        .zip(&flying)
+        .zip(scales)
+        .zip(&mut flies)
+        .zip(&depth)
+    {
+        let depths = flying
+            .iter()
+            .zip(depth)
+            .filter_map(|(z, d)| z.map(|z| (z / d).ln().abs()));
+        let Some(off) = quantile(&mut depths.collect::<Vec<_>>(), 0.5) else {
+            continue;
+        };
+        // A piece of a swing looks like a fall, at another distance.
+        let contradicts = |decision: scale::Decision| {
+            decision.cue == DistanceCue::FixedPoint && off > HINGE_SIGMAS * decision.vote.sigma
+        };
+        if reading.decision.is_some_and(contradicts) {
             continue;
         }
+        *flies = true;
         let factors: Vec<Option<f32>> = flying
             .iter()
             .enumerate()
@@ -142,6 +225,7 @@ fn fall(
             .collect();
         scale::between(&factors, scales);
     }
+    flies
 }
 
 /// Spreads the values of a frame over the parts that they lie in.

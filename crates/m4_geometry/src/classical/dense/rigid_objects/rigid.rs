@@ -31,23 +31,30 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    /// The mean of all known points, in the frame of the body.
-    pub fn middle(&self, clip: &WorkingClip<'_>) -> Option<Vector3<f64>> {
+    /// The mean of all points, and their root mean square distance from it, in the frame of the
+    /// body; the same weight for every frame.
+    pub fn extent(&self, clip: &WorkingClip<'_>) -> Option<(Vector3<f64>, f64)> {
         let camera = clip.cameras.first()?;
-        let (mut sum, mut count) = (Vector3::zeros(), 0.0);
+        let (mut sum, mut squares, mut count) = (Vector3::zeros(), 0.0, 0.0);
         for (k, pose) in self.poses.iter().enumerate() {
-            let (mut here, mut n) = (Vector3::zeros(), 0.0);
+            let to_body = pose.inverse();
+            let (mut here, mut squares_here, mut n) = (Vector3::zeros(), 0.0, 0.0);
             for (p, d) in self.values(clip, k) {
                 let (x, y) = (p as usize % clip.width, p as usize / clip.width);
-                here += ray(camera, x, y) / f64::from(d);
+                let point = to_body.transform(&(ray(camera, x, y) / f64::from(d)));
+                here += point;
+                squares_here += point.norm_squared();
                 n += 1.0;
             }
             if n > 0.0 {
-                sum += pose.inverse().transform(&(here / n));
+                sum += here / n;
+                squares += squares_here / n;
                 count += 1.0;
             }
         }
-        (count > 0.0).then(|| sum / count)
+        let mean = sum / count;
+        let variance = squares / count - mean.norm_squared();
+        (count > 0.0 && variance > 0.0).then(|| (mean, variance.sqrt()))
     }
 
     /// The pixels of a frame with a value, and the value.

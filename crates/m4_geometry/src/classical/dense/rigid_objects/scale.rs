@@ -1,10 +1,10 @@
 //! The one number that the motion of a part does not reveal.
 
+use super::hinge::{self, Vote};
 use super::rigid::Shape;
-use super::{OCCLUSION_RANGE, Tracklet, WorkingClip};
+use super::{DistanceCue, OCCLUSION_RANGE, Tracklet, WorkingClip};
 use crate::classical::dense::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
 use m4_core::quantile;
-use nalgebra::Vector3;
 
 /// Share of the frames whose lower bound of the scale the scale exceeds, where nothing but bounds
 /// is known.
@@ -16,14 +16,18 @@ const TOUCH_QUANTILE: f64 = 0.5;
 const GROUND_SLOPE: f32 = 0.003;
 /// Least share of its frames in which a region must have ground under it for its scale to be known.
 const STANDING_SHARE: f32 = 0.3;
-/// A region whose path, at its best scale, is shorter than this share of what the path of the
-/// camera would make of it at another scale stays in place, and that is its scale, unless it is out
-/// of [`OCCLUSION_RANGE`].
-const STILL_REST: f64 = 0.12;
-/// Rounds of the robust fit of a fixed place, and the residual that counts half, in medians
-/// (Cauchy).
-const ROUNDS: usize = 5;
-const CAUCHY: f64 = 2.0;
+/// Standard deviation of the logarithm of a scale by contact, where all frames agree: of outlines
+/// and shapes.
+const CONTACT_SIGMA: f64 = 0.06;
+/// Median absolute deviations in a standard deviation.
+const DEVIATIONS: f64 = 1.48;
+/// Probability that a part with ground under it stands there, and the range of logarithms over
+/// which it may be anywhere else.
+const STANDS: f64 = 0.85;
+const ELSEWHERE: f64 = 1.6;
+/// The same for a part that seems to turn about a fixed point.
+const TURNS: f64 = 0.5;
+const ANYWHERE: f64 = 3.7;
 /// Over how many rows the slope of the ground is read.
 const SLOPE_ROWS: usize = 6;
 
@@ -33,8 +37,21 @@ pub(super) struct Reading {
     typical: f32,
     /// The least factor, by what the part hides and what lies under it.
     bound: f32,
-    /// The factor by the ground that it stands on, or because it stays where it is.
-    factor: Option<f32>,
+    /// The factor by the ground that it stands on, or by the point about which it turns.
+    pub decision: Option<Decision>,
+}
+
+/// What decides a scale.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Decision {
+    pub vote: Vote,
+    pub cue: DistanceCue,
+}
+
+impl Reading {
+    fn factor(&self) -> Option<f32> {
+        self.decision.map(|decision| decision.vote.factor as f32)
+    }
 }
 
 /// Reads the scale of one part.
@@ -58,30 +75,93 @@ pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -
         quantile(&mut all, BOUND_QUANTILE)?,
         quantile(&mut typical, 0.5)?,
     );
-    let touch = quantile(&mut standing, TOUCH_QUANTILE).filter(|_| share >= STANDING_SHARE);
-    // Nothing but the right factor makes a part stay where it is while the camera passes it.
-    let still = in_place(clip, tracklet, shape)
-        .map(|(factor, rest)| (factor as f32, rest))
-        .filter(|&(factor, rest)| rest < STILL_REST && factor > bound / OCCLUSION_RANGE);
+    let contact = if share >= STANDING_SHARE {
+        contact(&mut standing)
+    } else {
+        None
+    };
+    let hinge = hinge::vote(clip, tracklet, shape)
+        .filter(|vote| vote.factor > f64::from(bound / OCCLUSION_RANGE));
     Some(Reading {
         typical,
         bound,
-        factor: still.map(|(factor, _)| factor).or(touch),
+        decision: decide(contact, hinge),
     })
 }
 
-/// The factors of all parts. What neither stands nor stays, because it flies, is taken to be about
-/// as near as what does: a guess, but a better one than the wall behind it.
+/// The scale by the ground under a part: the median of its frames, and less sure the more these
+/// differ.
+fn contact(standing: &mut [f32]) -> Option<Vote> {
+    let factor = f64::from(quantile(standing, TOUCH_QUANTILE)?);
+    let mut off: Vec<f64> = standing
+        .iter()
+        .map(|f| (f64::from(*f) / factor).ln().abs())
+        .collect();
+    let spread = DEVIATIONS * quantile(&mut off, 0.5)?;
+    Some(Vote {
+        factor,
+        sigma: CONTACT_SIGMA.hypot(spread),
+    })
+}
+
+/// The most probable scale. Either vote may be mistaken: what has ground under it may hover, which
+/// puts it nearer, and what seems to turn may just move.
+fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
+    let by = |cue| move |vote| Decision { vote, cue };
+    let (Some(contact), Some(hinge)) = (contact, hinge) else {
+        return contact
+            .map(by(DistanceCue::Contact))
+            .or(hinge.map(by(DistanceCue::FixedPoint)));
+    };
+    let density = |vote: Vote, log: f64| {
+        let off = (log - vote.factor.ln()) / vote.sigma;
+        (-0.5 * off * off).exp() / (vote.sigma * std::f64::consts::TAU.sqrt())
+    };
+    let likelihood = |candidate: &Decision| {
+        let log = candidate.vote.factor.ln();
+        let hovers = log > contact.factor.ln() - contact.sigma;
+        let elsewhere = if hovers {
+            (1.0 - STANDS) / ELSEWHERE
+        } else {
+            0.0
+        };
+        (STANDS * density(contact, log) + elsewhere)
+            * (TURNS * density(hinge, log) + (1.0 - TURNS) / ANYWHERE)
+    };
+    let [a, b] = [contact, hinge].map(|v| v.sigma.powi(-2));
+    let mean = (a * contact.factor.ln() + b * hinge.factor.ln()) / (a + b);
+    let both = Vote {
+        factor: mean.exp(),
+        sigma: (a + b).sqrt().recip(),
+    };
+    let surer = if a < b {
+        DistanceCue::FixedPoint
+    } else {
+        DistanceCue::Contact
+    };
+    let agree = (contact.factor / hinge.factor).ln().abs() < contact.sigma.hypot(hinge.sigma);
+    [
+        Some(by(DistanceCue::Contact)(contact)),
+        Some(by(DistanceCue::FixedPoint)(hinge)),
+        agree.then(|| by(surer)(both)),
+    ]
+    .into_iter()
+    .flatten()
+    .max_by(|a, b| likelihood(a).total_cmp(&likelihood(b)))
+}
+
+/// The factors of all parts. What neither stands nor turns about a fixed point, because it flies, is
+/// taken to be about as near as what does: a guess, but a better one than the wall behind it.
 pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
     let mut near: Vec<f32> = readings
         .iter()
-        .filter_map(|r| r.factor.map(|f| f * r.typical))
+        .filter_map(|r| r.factor().map(|f| f * r.typical))
         .collect();
     let near = quantile(&mut near, 0.5);
     let guess = |r: &Reading| near.map_or(r.bound, |d| r.bound.max(d / r.typical));
     readings
         .iter()
-        .map(|r| r.factor.unwrap_or_else(|| guess(r)))
+        .map(|r| r.factor().unwrap_or_else(|| guess(r)))
         .collect()
 }
 
@@ -167,101 +247,32 @@ fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -
     })
 }
 
-/// The factor on the disparities of a part that keeps its middle closest to one place, and what is
-/// left of the path of its middle, over the path that the wrong factor 0 would leave.
-///
-/// With disparities times `q`, the middle is at `c + v / q`, `c` being the camera's centre and `v`
-/// where the adjusted shape puts the middle, seen from there. Multiplied by `q` the way is linear
-/// in `q`, and its error no longer favours parts close to the camera (Ozden, Schindler and Van Gool
-/// 2010 on the scale of parts).
-fn in_place(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<(f64, f64)> {
-    let middle = shape.middle(clip)?;
-    let (mut c, mut v) = (Vec::new(), Vec::new());
-    for k in 0..tracklet.parts.len() {
-        let c2w = clip.cameras[tracklet.first + k].c2w;
-        c.push(c2w.translation);
-        v.push(c2w.rotation * shape.poses[k].transform(&middle));
-    }
-    fixed(&c, &v)
-}
-
-/// The factor `q` for which `q c + v` stays closest to one place, and what is left of the path of
-/// `v`, as a share; a few frames may be wrong. `None` where nothing moves.
-fn fixed(c: &[Vector3<f64>], v: &[Vector3<f64>]) -> Option<(f64, f64)> {
-    let mut weights = vec![1.0; c.len()];
-    let mut out = None;
-    for _ in 0..ROUNDS {
-        let mean = |values: &[Vector3<f64>]| -> Vector3<f64> {
-            values
-                .iter()
-                .zip(&weights)
-                .map(|(v, w)| v * *w)
-                .sum::<Vector3<f64>>()
-                / weights.iter().sum::<f64>()
-        };
-        let (c_mean, v_mean) = (mean(c), mean(v));
-        let dot = |a: &[Vector3<f64>],
-                   a_mean: Vector3<f64>,
-                   b: &[Vector3<f64>],
-                   b_mean: Vector3<f64>|
-         -> f64 {
-            a.iter()
-                .zip(b)
-                .zip(&weights)
-                .map(|((a, b), w)| w * (a - a_mean).dot(&(b - b_mean)))
-                .sum()
-        };
-        let (cc, cv, vv) = (
-            dot(c, c_mean, c, c_mean),
-            dot(c, c_mean, v, v_mean),
-            dot(v, v_mean, v, v_mean),
-        );
-        if !(cc > 0.0 && vv > 0.0) {
-            return None;
-        }
-        out = Some((-cv / cc, ((vv - cv * cv / cc).max(0.0) / vv).sqrt()));
-        // frames whose mask is wrong count little
-        let off =
-            |c: &Vector3<f64>, v: &Vector3<f64>| (v - v_mean - (c - c_mean) * (cv / cc)).norm();
-        let off: Vec<f64> = c.iter().zip(v).map(|(c, v)| off(c, v)).collect();
-        let typical = f64::from(quantile(
-            &mut off.iter().map(|off| *off as f32).collect::<Vec<_>>(),
-            0.5,
-        )?);
-        weights = off
-            .iter()
-            .map(|off| 1.0 / (1.0 + (off / (CAUCHY * typical.max(1e-12))).powi(2)))
-            .collect();
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Vector3, fixed};
+    use super::{DistanceCue, Vote, decide};
 
     #[test]
-    fn a_fixed_place_is_found_although_a_few_frames_are_wrong() {
-        let c: Vec<Vector3<f64>> = (0..40)
-            .map(|k| 0.05 * f64::from(k))
-            .map(|t| Vector3::new(t, 0.2 * (3.0 * t).sin(), 0.1 * t))
-            .collect();
-        let place = Vector3::new(0.5, -0.2, 4.0);
-        let mut v: Vec<Vector3<f64>> = c.iter().map(|c| place - c * 1.5).collect();
-        for v in &mut v[..4] {
-            *v += Vector3::new(0.6, 0.3, -0.8);
-        }
-        let (factor, rest) = fixed(&c, &v).unwrap();
-        assert!(
-            (factor - 1.5).abs() < 0.01 && rest < 0.05,
-            "{factor} {rest}"
+    fn the_surer_of_contact_and_hinge_decides_and_both_are_averaged_where_they_agree() {
+        let vote = |factor: f64, sigma: f64| Some(Vote { factor, sigma });
+        let decided = |contact: Option<Vote>, hinge: Option<Vote>| {
+            let decision = decide(contact, hinge).unwrap();
+            (decision.vote, decision.cue)
+        };
+        // A wheel on a pole: the ground behind it is no contact, and differs from frame to frame.
+        let wheel = vote(1.1, 0.02);
+        let expected = (wheel.unwrap(), DistanceCue::FixedPoint);
+        assert_eq!(decided(vote(0.6, 0.13), wheel), expected);
+        // A ball that rolls seems to turn about something.
+        let ball = vote(1.0, 0.06);
+        let expected = (ball.unwrap(), DistanceCue::Contact);
+        assert_eq!(decided(ball, vote(2.0, 0.15)), expected);
+        let (both, _) = decided(vote(1.0, 0.06), vote(1.08, 0.06));
+        assert!((both.factor - 1.08f64.sqrt()).abs() < 1e-6, "{both:?}");
+        assert!((both.sigma - 0.06 / 2f64.sqrt()).abs() < 1e-6, "{both:?}");
+        assert_eq!(
+            decided(None, wheel),
+            (wheel.unwrap(), DistanceCue::FixedPoint)
         );
-        // an object in motion has no such place, and a camera that stands says nothing
-        let moves: Vec<Vector3<f64>> = (0..40)
-            .map(|k| 0.3 * f64::from(k))
-            .map(|t| Vector3::new(t.sin(), t.cos(), 0.0))
-            .collect();
-        assert!(fixed(&c, &moves).unwrap().1 > 0.5);
-        assert_eq!(fixed(&vec![place; 40], &moves), None);
+        assert_eq!(decide(None, None), None);
     }
 }
