@@ -37,7 +37,7 @@ const SPARE: f64 = 0.3;
 /// Least standard deviation of a logarithm of the scale: of the shape itself.
 const LEAST_SIGMA: f64 = 0.02;
 /// Largest standard deviation that says anything.
-const MOST_SIGMA: f64 = 0.3;
+const MOST_SIGMA: f64 = 0.7;
 
 /// A scale, and how sure it is.
 #[derive(Debug, Clone, Copy, PartialEq)]

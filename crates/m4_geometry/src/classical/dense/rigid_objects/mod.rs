@@ -85,8 +85,6 @@ pub struct DynamicObject {
 /// Standard deviation of the logarithm of the distance by a fall, and of an assumed one.
 const BALLISTIC_SIGMA: f64 = 0.12;
 const ASSUMED_SIGMA: f64 = 0.5;
-/// Standard deviations by which a fall may be off the distance of an object with a fixed point.
-const HINGE_SIGMAS: f64 = 2.0;
 
 /// Replaces the disparity of dynamic parts, `[height][width]` by frame, where a part could be
 /// followed long enough to be understood as a rigid object; what flies takes its distance from how
@@ -193,35 +191,29 @@ fn fall(
     let Some(flying) = ballistic::depths(clip, ground, &tracklets, &depth) else {
         return flies;
     };
-    for (((((tracklet, shape, reading), flying), scales), flies), depth) in bodies
-        .iter()
-        .zip(&flying)
-        .zip(scales)
-        .zip(&mut flies)
-        .zip(&depth)
+    for ((((tracklet, shape, reading), flying), scales), flies) in
+        bodies.iter().zip(&flying).zip(scales).zip(&mut flies)
     {
-        let depths = flying
+        let falls: Vec<Option<f32>> = flying
             .iter()
-            .zip(depth)
-            .filter_map(|(z, d)| z.map(|z| (z / d).ln().abs()));
-        let Some(off) = quantile(&mut depths.collect::<Vec<_>>(), 0.5) else {
-            continue;
-        };
-        // A piece of a swing looks like a fall, at another distance.
-        let contradicts = |decision: scale::Decision| {
-            decision.cue == DistanceCue::FixedPoint && off > HINGE_SIGMAS * decision.vote.sigma
-        };
-        if reading.decision.is_some_and(contradicts) {
+            .enumerate()
+            .map(|(k, z)| {
+                let typical = typical(shape, k)?;
+                z.map(|z| 1.0 / (z as f32 * typical))
+            })
+            .collect();
+        let factor = quantile(
+            &mut falls.iter().copied().flatten().collect::<Vec<_>>(),
+            0.5,
+        );
+        if !factor.is_some_and(|factor| reading.allows_fall(factor)) {
             continue;
         }
         *flies = true;
-        let factors: Vec<Option<f32>> = flying
-            .iter()
+        let factors: Vec<Option<f32>> = falls
+            .into_iter()
             .enumerate()
-            .map(|(k, z)| match z {
-                Some(z) => typical(shape, k).map(|d| 1.0 / (*z as f32 * d)),
-                None => scale::standing(clip, tracklet, shape, k),
-            })
+            .map(|(k, fall)| fall.or_else(|| scale::standing(clip, tracklet, shape, k)))
             .collect();
         scale::between(&factors, scales);
     }

@@ -28,6 +28,8 @@ const ELSEWHERE: f64 = 1.6;
 /// The same for a part that seems to turn about a fixed point.
 const TURNS: f64 = 0.5;
 const ANYWHERE: f64 = 3.7;
+/// Standard deviations by which a fall may be off the scale by a fixed point.
+const HINGE_SIGMAS: f64 = 2.0;
 /// Over how many rows the slope of the ground is read.
 const SLOPE_ROWS: usize = 6;
 
@@ -49,6 +51,18 @@ pub(super) struct Decision {
 }
 
 impl Reading {
+    /// Whether the part may fall at this factor: a piece of a swing looks like a fall, but at
+    /// another distance, or behind what the part hides.
+    pub fn allows_fall(&self, factor: f32) -> bool {
+        let hinged = self
+            .decision
+            .filter(|decision| decision.cue == DistanceCue::FixedPoint);
+        let agrees = hinged.is_none_or(|Decision { vote, .. }| {
+            (f64::from(factor) / vote.factor).ln().abs() < HINGE_SIGMAS * vote.sigma
+        });
+        agrees && factor > self.bound / OCCLUSION_RANGE
+    }
+
     fn factor(&self) -> Option<f32> {
         self.decision.map(|decision| decision.vote.factor as f32)
     }
