@@ -31,7 +31,8 @@ pub(super) struct Clip {
     pub focal_px: Option<f64>,
     /// What was done about cuts, bars and the like.
     pub footage: Option<Footage>,
-    between: Between,
+    /// How many of its frames are used for what.
+    pub between: Between,
 }
 
 /// What geometry finds of a frame.
@@ -216,7 +217,7 @@ const MOST_WITH_DEPTH: usize = 300;
 const MOST_TRACKED: usize = 2700;
 
 /// How many frames are kept, how many get depth, and how many are read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Between {
     n_kept: Option<usize>,
     n_depth: Option<usize>,

@@ -69,6 +69,7 @@ pub(super) fn note(distortion: &RadialDistortion) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::clip::Between;
     use super::super::given::Given;
     use super::Clip;
     use m4_core::{Plane, Video, VideoFrame};
@@ -125,6 +126,7 @@ mod tests {
             },
             focal_px: Some(focal_px),
             footage: None,
+            between: Between::default(),
         };
         let lens = clip.lens(&distortion);
         clip.straighten(&lens).unwrap();
