@@ -113,8 +113,8 @@ struct Fit {
 }
 
 impl Fit {
-    /// A robust fit: a few frames may be wrong. `reach` is the standard deviation of the distance of
-    /// the point before anything is measured.
+    /// A robust fit: a few frames may be wrong. `reach` is the standard deviation of the distance
+    /// of the point before anything is measured.
     fn of(path: &[Pose], reach: f64) -> Option<Self> {
         let mean = path.iter().map(|p| p.camera).sum::<Vector3<f64>>() / path.len() as f64;
         let mut lengths: Vec<f64> = path.iter().map(|p| p.middle.norm()).collect();

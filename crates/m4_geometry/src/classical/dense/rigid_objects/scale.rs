@@ -164,8 +164,8 @@ fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
     .max_by(|a, b| likelihood(a).total_cmp(&likelihood(b)))
 }
 
-/// The factors of all parts. What neither stands nor turns about a fixed point, because it flies, is
-/// taken to be about as near as what does: a guess, but a better one than the wall behind it.
+/// The factors of all parts. What neither stands nor turns about a fixed point, because it flies,
+/// is taken to be about as near as what does: a guess, but a better one than the wall behind it.
 pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
     let mut near: Vec<f32> = readings
         .iter()
