@@ -113,6 +113,8 @@ def test_ctrl_c_stops_the_program_with_its_state_saved(
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # tests that run in the background of a shell ignore it
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert python.stdout is not None
     while python.stdout.readline() not in ("train\n", ""):
