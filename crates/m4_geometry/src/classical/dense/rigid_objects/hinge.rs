@@ -1,5 +1,5 @@
 //! The scale of a part that turns about a fixed point: a wheel, a swing, a door, a pendulum, a
-//! limb of something that stands still.
+//! limb with a static joint.
 //!
 //! With disparities times `q`, the point `s` of the part is at `c + (v + R s) / q`, `c` being the
 //! camera's centre, `v` the direction from there to the middle of the part as adjusted, and `R` its

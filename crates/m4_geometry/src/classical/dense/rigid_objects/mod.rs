@@ -70,7 +70,7 @@ pub enum DistanceCue {
 /// A dynamic object in consecutive frames.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DynamicObject {
-    /// Its first frame.
+    /// Its first frame, of those that the estimate was made of.
     pub first_frame: usize,
     /// Number of frames.
     pub frames: usize,

@@ -263,7 +263,7 @@ fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -
 
 #[cfg(test)]
 mod tests {
-    use super::{DistanceCue, Vote, decide};
+    use super::{Decision, DistanceCue, Reading, Vote, decide};
 
     #[test]
     fn the_surer_of_contact_and_hinge_decides_and_both_are_averaged_where_they_agree() {
@@ -288,5 +288,32 @@ mod tests {
             (wheel.unwrap(), DistanceCue::FixedPoint)
         );
         assert_eq!(decide(None, None), None);
+    }
+
+    #[test]
+    fn a_fall_is_in_front_of_what_the_part_hides_and_near_its_fixed_point() {
+        let reading = |cue: DistanceCue| Reading {
+            typical: 1.0,
+            bound: 0.6,
+            decision: Some(Decision {
+                vote: Vote {
+                    factor: 1.0,
+                    sigma: 0.1,
+                },
+                cue,
+            }),
+        };
+        let (hinge, contact) = (
+            reading(DistanceCue::FixedPoint),
+            reading(DistanceCue::Contact),
+        );
+        assert!(hinge.allows_fall(1.1) && !hinge.allows_fall(1.4));
+        // What stands in some frames may fly in others, but not behind the wall.
+        assert!(contact.allows_fall(1.4) && !contact.allows_fall(0.4));
+        let unknown = Reading {
+            decision: None,
+            ..contact
+        };
+        assert!(unknown.allows_fall(3.0) && !unknown.allows_fall(0.4));
     }
 }
