@@ -17,6 +17,7 @@ use m4_core::{
     Video,
 };
 use m4_geometry::FrameRate;
+use m4_geometry::classical::dense::DynamicObject;
 use m4_geometry::classical::sparse::SparseConfig;
 use m4_io::video::{VideoOptions, evenly};
 use std::path::Path;
@@ -272,8 +273,14 @@ impl Between {
         evenly(count, self.n_depth)
     }
 
-    /// Keeps the frames that were asked for, with their times; tracks lose the others.
-    pub fn keep(self, capture: Capture, observer: &dyn Progress) -> Result<Capture, Error> {
+    /// Keeps the frames that were asked for, with their times; tracks lose the others, and objects
+    /// count those that are kept.
+    pub fn keep(
+        self,
+        capture: Capture,
+        objects: &mut Vec<DynamicObject>,
+        observer: &dyn Progress,
+    ) -> Result<Capture, Error> {
         let all = capture.frames.len();
         let chosen = evenly(all, self.n_kept);
         if chosen.len() == all {
@@ -285,6 +292,13 @@ impl Between {
             .map(|tracks| tracks.in_order(&chosen));
         let unfit = |e| Error::internal(format!("tracks do not fit their frames: {e}"));
         let tracks = tracks.transpose().map_err(unfit)?;
+        objects.retain_mut(|object| {
+            let kept_before = |frame: usize| chosen.partition_point(|&i| i < frame);
+            let end = kept_before(object.first_frame + object.frames);
+            object.first_frame = kept_before(object.first_frame);
+            object.frames = end - object.first_frame;
+            object.frames > 0
+        });
         let mut frames: Vec<_> = capture.frames.into_iter().map(Some).collect();
         let frames: Vec<_> = chosen.iter().filter_map(|&i| frames[i].take()).collect();
         observer.warn(&format!(
@@ -315,6 +329,7 @@ mod tests {
     use super::{Between, MOST_FRAMES, MOST_TRACKED, MOST_WITH_DEPTH, to_read};
     use crate::Silent;
     use m4_core::{Capture, Plane, Tracks, Video, VideoFrame};
+    use m4_geometry::classical::dense::{DistanceCue, DynamicObject};
     use m4_io::video::evenly;
     use m4_testkit::clips::plain_clip;
 
@@ -351,7 +366,18 @@ mod tests {
             n_read: Some(n_read),
             tracks_more: true,
         };
-        let thin = between(3, 9).keep(capture.clone(), &Silent).unwrap();
+        let object = |first_frame: usize, frames: usize| DynamicObject {
+            first_frame,
+            frames,
+            share: 0.1,
+            cue: DistanceCue::Contact,
+            sigma_percent: 6.0,
+        };
+        let mut objects = vec![object(0, 9), object(3, 6), object(5, 3)];
+        let thin = between(3, 9)
+            .keep(capture.clone(), &mut objects, &Silent)
+            .unwrap();
+        assert_eq!(objects, [object(0, 3), object(1, 2)]);
         let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();
         assert_eq!((times, thin.time_frames), (vec![0.0, 4.0, 8.0], 9));
         let tracks = thin.tracks.unwrap();
@@ -359,8 +385,10 @@ mod tests {
             (tracks.frames(), tracks.place(1, 0)),
             (3, Some([4.0, 0.0, 1.0]))
         );
-        let all = between(20, 77).keep(capture, &Silent).unwrap();
-        assert_eq!(all.frames.len(), 9);
+        let all = between(20, 77)
+            .keep(capture, &mut objects, &Silent)
+            .unwrap();
+        assert_eq!((all.frames.len(), objects.len()), (9, 2));
     }
 
     /// A clip of `in_range` frames of which `count` were read.

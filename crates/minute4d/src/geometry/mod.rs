@@ -208,7 +208,7 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
         true => megasam::compute(clip, &context)?,
         _ => classical::compute(clip, &context)?,
     };
-    let capture = between.keep(capture, observer)?;
+    let capture = between.keep(capture, &mut summary.objects, observer)?;
     summary.frames = capture.frames.len();
     summary.footage = footage;
     let enhance = &plan.enhance;

@@ -103,9 +103,7 @@ impl GeometrySummary {
             (false, false) => None,
         }
     }
-}
 
-impl GeometrySummary {
     /// Returns how far the distances of dynamic objects can be trusted, in one line; `None` where
     /// there are none.
     pub fn objects_description(&self) -> Option<String> {
