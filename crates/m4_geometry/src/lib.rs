@@ -8,6 +8,7 @@
 //! masks/         segmentation and tracking of dynamic objects, for masks of any source
 //! tracks/        tracks of dynamic points through a clip whose cameras and depth are known, visible or occluded
 //! inspect/       shots, repeated frames, bars, overlays and exposure of a clip
+//! clip_depth     depth that is known without parallax, and the unit of length
 //! frame_rate     seconds in frames
 //! resample       images and maps in other sizes
 //! smooth         smoothing along the edges of an image
@@ -18,6 +19,7 @@
 #![forbid(unsafe_code)]
 
 pub mod classical;
+pub mod clip_depth;
 pub mod dba;
 pub mod flow;
 mod frame_rate;

@@ -4,8 +4,11 @@
 //! frames -> sparse (feature tracks, structure from motion) -> dense (flow, plane sweep, motion segmentation) -> depth and masks
 //! ```
 //!
-//! `sparse` and `dense` meet in the types of this module alone, so either can be replaced.
+//! `sparse` and `dense` meet in the types of this module alone, so either can be replaced;
+//! `again` decides about a second pass, and `confidence` grades the result.
 
+pub mod again;
+pub mod confidence;
 pub mod dense;
 pub mod sparse;
 
@@ -77,6 +80,19 @@ pub struct SparseReconstruction {
 }
 
 impl SparseReconstruction {
+    /// The reconstruction with all lengths times `by`.
+    #[must_use]
+    pub fn scaled(&self, by: f64) -> Self {
+        let mut scaled = self.clone();
+        for camera in &mut scaled.cameras {
+            camera.c2w.translation *= by;
+        }
+        for point in scaled.tracks.iter_mut().filter_map(|t| t.point.as_mut()) {
+            *point *= by;
+        }
+        scaled
+    }
+
     /// The reconstruction of the frames with these indices, in ascending order: their cameras, and
     /// the tracks that any of them shows.
     #[must_use]

@@ -4,21 +4,20 @@
 use super::Context;
 use super::GeometrySummary;
 use super::clip::{Clip, FrameGeometry};
-use super::confidence::{Circumstances, Confidence, Grade};
-use super::depth::{rescale, set_unit, unit};
-use super::frontend::MonoClip;
-use super::iterate;
 use super::lens;
 use crate::Error;
 use crate::cache::Steps;
 use crate::observer::Recording;
 use m4_core::advice::DEPTH_WEIGHTS;
 use m4_core::{Camera, Capture, Mask, RgbImage, Tracks};
+use m4_geometry::classical::again::Second;
+use m4_geometry::classical::confidence::{Circumstances, Confidence, Grade};
 use m4_geometry::classical::dense::{Dense, MeasureFlow, Segmenter, Sources, estimate};
 use m4_geometry::classical::sparse::{
     self, FeatureTracks, RadialDistortion, Recovered, SparseConfig,
 };
 use m4_geometry::classical::{CameraMotion, SparseReconstruction};
+use m4_geometry::clip_depth::{ClipDepth, unit};
 
 /// Reconstructs `clip`.
 pub(super) fn compute(
@@ -79,7 +78,7 @@ struct Reconstruction<'a> {
     flow: Box<MeasureFlow<'a>>,
     segmenter: Option<Box<Segmenter<'static>>>,
     /// What networks know of the frames with depth, unless the user gave depth.
-    mono: Option<MonoClip>,
+    mono: Option<ClipDepth>,
 }
 
 /// Cameras, and what was found with them.
@@ -158,10 +157,7 @@ impl<'a> Reconstruction<'a> {
         let mut pass = self.pass("dense", clip, chosen, recovered)?;
         let mut rounds = 1;
         if clip.given.masks.is_none() && clip.given.cameras.is_none() {
-            let first = pass.all.as_ref().unwrap_or(&pass.recovered.sparse);
-            let (frames, steps) = (&mut pass.dense.frames, self.context.steps);
-            let better =
-                iterate::without_masked(followed, first, (frames, chosen), &self.config, steps)?;
+            let better = self.second_cameras(followed, &pass, chosen)?;
             if let Some(better) = better {
                 // Memory holds one result at a time.
                 drop(pass);
@@ -171,6 +167,33 @@ impl<'a> Reconstruction<'a> {
         }
         let summary = self.summary(clip, &pass, rounds);
         Ok((pass, summary))
+    }
+
+    /// Cameras from the tracks outside the masks of `pass`, if they differ enough from its own for
+    /// depth and masks to be estimated again.
+    fn second_cameras(
+        &self,
+        followed: &FeatureTracks,
+        pass: &Pass,
+        chosen: &[usize],
+    ) -> Result<Option<Recovered>, Error> {
+        const PHASE: &str = "cameras from static points";
+        let first = pass.all.as_ref().unwrap_or(&pass.recovered.sparse);
+        let Some(second) = Second::of(first, &pass.dense.frames, chosen) else {
+            return Ok(None);
+        };
+        let observer = self.context.observer();
+        observer.update(PHASE, 0, 1, "");
+        // The warnings of the second pass repeat those of the first, or are given when its result
+        // is used.
+        let recovered = self.context.steps.keep("second-cameras", |observer| {
+            second.estimate(followed, &self.config, &Recording::holding(observer))
+        })?;
+        let (better, note) = recovered
+            .as_ref()
+            .map_or_else(Default::default, |r| second.is_better(&r.sparse));
+        observer.update(PHASE, 1, 1, &note);
+        Ok(recovered.filter(|_| better))
     }
 
     /// Tracks and cameras.
@@ -207,10 +230,13 @@ impl<'a> Reconstruction<'a> {
         let all = thinned.map(|thinned| std::mem::replace(&mut recovered.sparse, thinned));
         let mono = given.depth.as_ref().or(self.mono.as_ref());
         let posed = given.cameras.is_some();
-        let metric = set_unit(mono, &mut recovered.sparse, posed, observer)?;
+        let metric = match mono {
+            Some(mono) => mono.set_unit(&mut recovered.sparse, posed, observer)?,
+            None => false,
+        };
         // In a unit in which the scene is about 1 away, as the settings expect.
         let unit = unit(mono, &recovered.sparse, posed);
-        let scaled = (unit != 1.0).then(|| rescale(&recovered.sparse, 1.0 / unit));
+        let scaled = (unit != 1.0).then(|| recovered.sparse.scaled(1.0 / unit));
         let sparse = scaled.as_ref().unwrap_or(&recovered.sparse);
         let mono = mono.and_then(|mono| mono.maps(unit));
         let sources = Sources {
@@ -249,18 +275,7 @@ impl<'a> Reconstruction<'a> {
     fn summary(&self, clip: &Clip, pass: &Pass, rounds: usize) -> GeometrySummary {
         let (dense, plan, given) = (&pass.dense, self.context.plan, &clip.given);
         let sparse = pass.all.as_ref().unwrap_or(&pass.recovered.sparse);
-        let known_depth = given
-            .depth
-            .as_ref()
-            .and_then(|depth| depth.metric_m.as_deref())
-            .map(|maps| {
-                let pixels = maps.iter().map(|d| d.data().len()).sum::<usize>().max(1);
-                maps.iter()
-                    .flat_map(|d| d.data())
-                    .filter(|&&z| z > 0.0)
-                    .count() as f64
-                    / pixels as f64
-            });
+        let known_depth = given.depth.as_ref().and_then(ClipDepth::known_share);
         let around = Circumstances {
             camera_motion: sparse.camera_motion,
             masks_given: given.masks.is_some(),

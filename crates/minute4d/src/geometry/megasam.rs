@@ -3,7 +3,7 @@
 use super::Context;
 use super::GeometrySummary;
 use super::clip::{Clip, FrameGeometry};
-use super::frontend::{MonoClip, NetworkCorrespondence};
+use super::frontend::NetworkCorrespondence;
 use crate::{Error, Refusal, enhance};
 use m4_core::advice::{FIELD_OF_VIEW, INTRINSICS, MASKS};
 use m4_core::{Camera, Capture, CompactMask, Intrinsics, Mask, Plane, Progress};
@@ -42,7 +42,7 @@ pub(super) fn compute(
         None => plan.depth(&images, known_focal_px, device, steps)?,
     };
     let depth = given.depth.as_ref().or(mono.as_ref());
-    let prior = depth.map(|mono: &MonoClip| mono.prior(&size)).transpose()?;
+    let prior = depth.map(|depth| depth.prior(&size)).transpose()?;
     let fov_rad = depth.and_then(|mono| mono.fov_rad);
     drop(mono);
     let lens = given.lens.map(|lens| lens.intrinsics).unwrap_or_else(|| {

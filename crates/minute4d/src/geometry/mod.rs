@@ -6,7 +6,7 @@
 //! footage       frames -> those of one shot, without blank and repeated ones, bars, overlays, flicker
 //! classical     frames --sparse--> cameras, tracks, points --dense--> depth, masks --> capture
 //!                            ^                                          |    '-> confidence
-//!                            '---- once more without masked tracks -----'   (iterate)
+//!                            '---- once more without masked tracks -----'
 //! megasam       frames --tracking network--> cameras --optical flow--> consistent depth --> capture
 //! ```
 //!
@@ -16,19 +16,16 @@
 
 mod classical;
 mod clip;
-mod confidence;
-mod depth;
 mod footage;
 mod frontend;
 mod given;
-mod iterate;
 mod lens;
 #[cfg(feature = "nets")]
 mod megasam;
 mod summary;
 
-pub use confidence::{Confidence, Focal, Grade};
 pub use footage::Footage;
+pub use m4_geometry::classical::confidence::{Confidence, Focal, Grade};
 pub use summary::GeometrySummary;
 
 use crate::cache::Steps;

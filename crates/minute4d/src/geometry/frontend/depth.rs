@@ -4,64 +4,8 @@ use super::Plan;
 use crate::Error;
 use crate::cache::Steps;
 use crate::device::NetworkDevice;
-use m4_core::{Plane, RgbImage};
-use m4_geometry::classical::dense::{MonoDepth, MonoKind};
-#[cfg(feature = "nets")]
-use m4_geometry::megasam::{DepthPrior, MegasamError, TrackingSize};
-
-/// Depth of every frame of a clip; the maps may be smaller than the images.
-#[derive(Debug)]
-pub struct MonoClip {
-    /// Whether the user provided it: it is then exact where it is known.
-    pub given: bool,
-    /// z-depth, metres, 0 where unknown.
-    pub metric_m: Option<Vec<Plane<f32>>>,
-    /// Relative disparity.
-    relative: Option<Vec<Plane<f32>>>,
-    /// Horizontal field of view, radians: the median over the frames.
-    pub fov_rad: Option<f64>,
-}
-
-impl MonoClip {
-    /// Depth that the user provides, metres, 0 where unknown.
-    pub fn given(metric_m: Vec<Plane<f32>>) -> Self {
-        Self {
-            given: true,
-            metric_m: Some(metric_m),
-            relative: None,
-            fov_rad: None,
-        }
-    }
-
-    /// As the classical front end takes it, for cameras whose unit is `unit` metres: relative
-    /// disparity where both are there, as the one with better edges.
-    pub fn maps(&self, unit: f64) -> Option<MonoDepth<'_>> {
-        let metric = if self.given {
-            MonoKind::Metric(unit as f32)
-        } else {
-            MonoKind::UpToScale
-        };
-        let relative = self.relative.as_deref().map(|maps| MonoDepth {
-            kind: MonoKind::AffineDisparity,
-            maps,
-        });
-        relative.or_else(|| {
-            self.metric_m
-                .as_deref()
-                .map(|maps| MonoDepth { kind: metric, maps })
-        })
-    }
-
-    /// As the tracker takes it; fails where the maps hold nothing.
-    #[cfg(feature = "nets")]
-    pub fn prior(&self, size: &TrackingSize) -> Result<DepthPrior, MegasamError> {
-        match (&self.metric_m, &self.relative) {
-            (Some(metric), Some(relative)) => DepthPrior::aligned(metric, relative, size),
-            (Some(metric), None) => DepthPrior::metric(metric, size),
-            (None, relative) => DepthPrior::relative(relative.as_deref().unwrap_or_default(), size),
-        }
-    }
-}
+use m4_core::RgbImage;
+use m4_geometry::clip_depth::ClipDepth;
 
 impl Plan {
     /// Depth of every image from itself alone; `None` where the front end has no network for that.
@@ -73,9 +17,9 @@ impl Plan {
         focal_px: Option<f64>,
         device: &NetworkDevice,
         steps: Steps<'_>,
-    ) -> Result<Option<MonoClip>, Error> {
+    ) -> Result<Option<ClipDepth>, Error> {
         #[cfg(feature = "nets")]
-        return MonoClip::measure(self, images, focal_px, &device.device, steps);
+        return networks::measure(self, images, focal_px, &device.device, steps);
         #[cfg(not(feature = "nets"))]
         {
             let _ = (images, focal_px, device, steps);
@@ -89,11 +33,11 @@ mod networks {
     //! Networks for monocular depth.
 
     use super::super::Plan;
-    use super::{Error, MonoClip, Plane, RgbImage, Steps};
+    use super::{ClipDepth, Error, RgbImage, Steps};
     use crate::error::{NetworkError, NetworkMethod};
     use crate::networks::unusable;
     use crate::settings::FrontendPart;
-    use m4_core::{ResizeFilter, resize_rgb};
+    use m4_core::{Plane, ResizeFilter, resize_rgb};
     use m4_geometry::megasam::MegasamError;
     use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeOptions, NetError, UniDepth, cpu};
     use std::path::Path;
@@ -142,96 +86,94 @@ mod networks {
             .map_err(unusable(NetworkMethod::FrontEnd(part)))
     }
 
-    impl MonoClip {
-        /// See [`Plan::depth`].
-        pub(super) fn measure(
-            plan: &Plan,
-            images: &[&RgbImage],
-            focal_px: Option<f64>,
-            device: &Compute,
-            steps: Steps<'_>,
-        ) -> Result<Option<Self>, Error> {
-            let progress = steps.observer();
-            let moge = load(FrontendPart::Moge, plan, device, |path, on| {
-                MoGe::load(path, on)
-            })?;
-            let moge = moge.map(|net| Metric::MoGe(Box::new(net)));
-            let unidepth = load(FrontendPart::Unidepth, plan, device, |path, on| {
-                UniDepth::load(path, on)
-            })?;
-            let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
-            let networks = Networks {
-                metric: moge.or(unidepth),
-                relative: load(FrontendPart::DepthAnything, plan, device, |path, on| {
-                    DepthAnything::load(path, on)
-                })?,
+    /// See [`Plan::depth`].
+    pub(super) fn measure(
+        plan: &Plan,
+        images: &[&RgbImage],
+        focal_px: Option<f64>,
+        device: &Compute,
+        steps: Steps<'_>,
+    ) -> Result<Option<ClipDepth>, Error> {
+        let progress = steps.observer();
+        let moge = load(FrontendPart::Moge, plan, device, |path, on| {
+            MoGe::load(path, on)
+        })?;
+        let moge = moge.map(|net| Metric::MoGe(Box::new(net)));
+        let unidepth = load(FrontendPart::Unidepth, plan, device, |path, on| {
+            UniDepth::load(path, on)
+        })?;
+        let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
+        let networks = Networks {
+            metric: moge.or(unidepth),
+            relative: load(FrontendPart::DepthAnything, plan, device, |path, on| {
+                DepthAnything::load(path, on)
+            })?,
+        };
+        if networks.metric.is_none() && networks.relative.is_none() {
+            return Ok(None);
+        }
+        let name = [
+            FrontendPart::Moge,
+            FrontendPart::Unidepth,
+            FrontendPart::DepthAnything,
+        ];
+        let name: Vec<&str> = name
+            .into_iter()
+            .filter(|&p| plan.frontend.has(p))
+            .map(FrontendPart::name)
+            .collect();
+        let name = name.join("+");
+        let (mut metric_m, mut relative, mut fovs) = (Vec::new(), Vec::new(), Vec::new());
+        for (frame, image) in images.iter().enumerate() {
+            if progress.cancelled() {
+                return Err(MegasamError::Cancelled.into());
+            }
+            let failed = |reason: BoxedError| NetworkError::Depth {
+                networks: name.clone(),
+                frame,
+                reason,
             };
-            if networks.metric.is_none() && networks.relative.is_none() {
-                return Ok(None);
-            }
-            let name = [
-                FrontendPart::Moge,
-                FrontendPart::Unidepth,
-                FrontendPart::DepthAnything,
-            ];
-            let name: Vec<&str> = name
-                .into_iter()
-                .filter(|&p| plan.frontend.has(p))
-                .map(FrontendPart::name)
-                .collect();
-            let name = name.join("+");
-            let (mut metric_m, mut relative, mut fovs) = (Vec::new(), Vec::new(), Vec::new());
-            for (frame, image) in images.iter().enumerate() {
-                if progress.cancelled() {
-                    return Err(MegasamError::Cancelled.into());
+            let step = format!("depth-{frame:05}");
+            let (measured, disparity) = match steps.load(&step) {
+                Some(maps) => maps,
+                None => {
+                    let measured = networks
+                        .metric
+                        .as_ref()
+                        .map(|n| n.depth(image, focal_px, device));
+                    let measured = measured.transpose().map_err(failed)?;
+                    let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
+                    let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
+                    let maps = (
+                        measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)),
+                        disparity.map(limited),
+                    );
+                    steps.store(&step, &maps);
+                    maps
                 }
-                let failed = |reason: BoxedError| NetworkError::Depth {
-                    networks: name.clone(),
-                    frame,
-                    reason,
-                };
-                let step = format!("depth-{frame:05}");
-                let (measured, disparity) = match steps.load(&step) {
-                    Some(maps) => maps,
-                    None => {
-                        let measured = networks
-                            .metric
-                            .as_ref()
-                            .map(|n| n.depth(image, focal_px, device));
-                        let measured = measured.transpose().map_err(failed)?;
-                        let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
-                        let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
-                        let maps = (
-                            measured.map(|(depth_m, fov_rad)| (limited(depth_m), fov_rad)),
-                            disparity.map(limited),
-                        );
-                        steps.store(&step, &maps);
-                        maps
-                    }
-                };
-                if let Some((depth_m, fov_rad)) = measured {
-                    metric_m.push(depth_m);
-                    fovs.extend::<Option<f64>>(fov_rad);
-                }
-                relative.extend(disparity);
-                progress.update(PHASE, frame + 1, images.len(), &name);
+            };
+            if let Some((depth_m, fov_rad)) = measured {
+                metric_m.push(depth_m);
+                fovs.extend::<Option<f64>>(fov_rad);
             }
-            let blind = metric_m.len() - fovs.len();
-            if blind > 0 {
-                progress.warn(&format!(
+            relative.extend(disparity);
+            progress.update(PHASE, frame + 1, images.len(), &name);
+        }
+        let blind = metric_m.len() - fovs.len();
+        if blind > 0 {
+            progress.warn(&format!(
                     "{name} sees no depth in {blind} of {} frames (sky alone, or nothing that a camera explains)",
                     images.len()
                 ));
-            }
-            fovs.sort_unstable_by(f64::total_cmp);
-            Ok(Some(Self {
-                given: false,
-                fov_rad: (!fovs.is_empty())
-                    .then(|| 0.5 * (fovs[fovs.len() / 2] + fovs[(fovs.len() - 1) / 2])),
-                metric_m: networks.metric.is_some().then_some(metric_m),
-                relative: networks.relative.is_some().then_some(relative),
-            }))
         }
+        fovs.sort_unstable_by(f64::total_cmp);
+        Ok(Some(ClipDepth {
+            given: false,
+            fov_rad: (!fovs.is_empty())
+                .then(|| 0.5 * (fovs[fovs.len() / 2] + fovs[(fovs.len() - 1) / 2])),
+            metric_m: networks.metric.is_some().then_some(metric_m),
+            relative: networks.relative.is_some().then_some(relative),
+        }))
     }
 
     impl Metric {

@@ -13,7 +13,6 @@ mod plan;
 #[cfg(feature = "nets")]
 mod tracking;
 
-pub(super) use depth::MonoClip;
 pub(super) use plan::{Plan, plan};
 #[cfg(feature = "nets")]
 pub(super) use tracking::NetworkCorrespondence;

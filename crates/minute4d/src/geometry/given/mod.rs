@@ -4,9 +4,9 @@
 mod cameras;
 
 use super::GeometryOptions;
-use super::frontend::MonoClip;
 use crate::{Category, Error, Refusal, Settings, hash};
 use m4_core::{Camera, DepthMap, Mask, Plane, Video};
+use m4_geometry::clip_depth::ClipDepth;
 use m4_io::dataset::Lens;
 use m4_io::image::{read_depth, read_mask, read_rgb};
 use m4_io::video::image_files;
@@ -69,7 +69,7 @@ pub(super) struct Given {
     /// A mask per frame, 255 where something moves.
     pub masks: Option<Vec<Mask>>,
     /// Depth a frame.
-    pub depth: Option<MonoClip>,
+    pub depth: Option<ClipDepth>,
 }
 
 impl Given {
@@ -116,7 +116,7 @@ impl Given {
             lens,
             cameras,
             masks,
-            depth: depth.map(MonoClip::given),
+            depth: depth.map(ClipDepth::given),
         })
     }
 

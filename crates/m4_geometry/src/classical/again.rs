@@ -4,13 +4,10 @@
 //! static tracks, these are excluded and the cameras are estimated again; if their projections
 //! change, depth and masks are computed again, too. Otherwise the first result is kept.
 
-use crate::Error;
-use crate::cache::Steps;
-use crate::observer::Recording;
-use m4_core::{Mask, Plane, Sim3, median, nalgebra::Vector3};
-use m4_geometry::classical::dense::DenseFrame;
-use m4_geometry::classical::sparse::{FeatureTracks, Recovered, SparseConfig, SparseError};
-use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
+use super::dense::DenseFrame;
+use super::sparse::{FeatureTracks, Recovered, SparseConfig, SparseError};
+use super::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_core::{Mask, Progress, Sim3, median, nalgebra::Vector3};
 use std::borrow::Borrow;
 use std::collections::HashMap;
 
@@ -28,52 +25,57 @@ const POINTS_A_FRAME: usize = 10;
 /// new cameras.
 const STATIC_SHARE: f64 = 0.9;
 
-/// Cameras from tracks outside the masks of `frames`, if they differ enough from the `first` ones
-/// for depth and masks to be estimated again. `frames` are those with the indices `chosen` of all
-/// frames; the mask of the nearest of them holds for the others.
-pub(super) fn without_masked(
-    followed: &FeatureTracks,
-    first: &SparseReconstruction,
-    (frames, chosen): (&mut [DenseFrame], &[usize]),
-    config: &SparseConfig,
-    steps: Steps<'_>,
-) -> Result<Option<Recovered>, Error> {
-    const PHASE: &str = "cameras from static points";
-    let own: Vec<Mask> = frames
-        .iter_mut()
-        .map(|f| std::mem::replace(&mut f.mask, Plane::filled(0, 0, 0)))
-        .collect();
-    let masks: Vec<&Mask> = (0..first.cameras.len())
-        .map(|i| &own[nearest(chosen, i)])
-        .collect();
-    let mut result = None;
-    if worth(first, &masks) {
-        let observer = steps.observer();
-        observer.update(PHASE, 0, 1, "");
-        // The warnings of the second pass repeat those of the first, or are given when its result
-        // is used.
-        let second = steps.keep("second-cameras", |observer| {
-            match followed.recover(Some(&masks), config, &Recording::holding(observer)) {
-                Err(stop @ SparseError::Cancelled) => Err(stop),
-                other => Ok(other
-                    .ok()
-                    .filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
-            }
-        })?;
-        let change = second
-            .as_ref()
-            .map(|second| Change::between(first, &second.sparse, |track| within(&masks, track)));
-        let note = change.map_or_else(String::new, |change| {
-            let (shift_px, percent) = (change.shift_px, 100.0 * change.verdicts);
-            format!("projections differ by {shift_px:.2} px, {percent:.1} % of tracks are classified differently")
-        });
-        observer.update(PHASE, 1, 1, &note);
-        result = second.filter(|_| change.is_some_and(|change| change.matters()));
+/// A second estimate of the cameras, and what it is compared with.
+pub struct Second<'a> {
+    first: &'a SparseReconstruction,
+    masks: Vec<&'a Mask>,
+}
+
+impl<'a> Second<'a> {
+    /// Decides whether other cameras than the `first` are to be expected without the tracks in the
+    /// masks of `frames`; `None` if not. `frames` are those with the indices `chosen` (ascending)
+    /// of all frames; the mask of the nearest of them holds for the others.
+    pub fn of(
+        first: &'a SparseReconstruction,
+        frames: &'a [DenseFrame],
+        chosen: &[usize],
+    ) -> Option<Self> {
+        let masks: Vec<&Mask> = (0..first.cameras.len())
+            .map(|i| &frames[nearest(chosen, i)].mask)
+            .collect();
+        worth(first, &masks).then_some(Self { first, masks })
     }
-    for (frame, mask) in frames.iter_mut().zip(own) {
-        frame.mask = mask;
+
+    /// Estimates the cameras from the tracks outside the masks; `None` where that fails, or the
+    /// camera has no parallax then.
+    ///
+    /// # Errors
+    ///
+    /// [`SparseError::Cancelled`] once a stop was requested.
+    pub fn estimate(
+        &self,
+        tracks: &FeatureTracks,
+        config: &SparseConfig,
+        progress: &dyn Progress,
+    ) -> Result<Option<Recovered>, SparseError> {
+        match tracks.recover(Some(&self.masks), config, progress) {
+            Err(stop @ SparseError::Cancelled) => Err(stop),
+            other => Ok(other
+                .ok()
+                .filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
+        }
     }
-    Ok(result)
+
+    /// Returns whether depth and masks are to be estimated again with these cameras, and how they
+    /// differ from the first.
+    pub fn is_better(&self, second: &SparseReconstruction) -> (bool, String) {
+        let change = Change::between(self.first, second, |track| within(&self.masks, track));
+        let (shift_px, percent) = (change.shift_px, 100.0 * change.verdicts);
+        let note = format!(
+            "projections differ by {shift_px:.2} px, {percent:.1} % of tracks are classified differently"
+        );
+        (change.matters(), note)
+    }
 }
 
 /// Which of `chosen`, rising, is nearest to `frame`.
@@ -247,8 +249,8 @@ fn worth(sparse: &SparseReconstruction, masks: &[impl Borrow<Mask>]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::{Change, within, worth};
+    use crate::classical::{CameraMotion, Motion, SparseReconstruction, Track};
     use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, exp_so3, nalgebra::Vector3};
-    use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction, Track};
 
     /// A walk past points between 3 and 6 away, every tenth of which moves.
     fn clip() -> SparseReconstruction {

@@ -1,10 +1,10 @@
 //! The confidence of the geometry: numbers, a grade and one piece of advice.
 
+use super::dense::DenseFrame;
+use super::sparse::FocalSource;
+use super::{CameraMotion, Motion, SparseReconstruction};
 use m4_core::advice::{DEPTH, FIELD_OF_VIEW, INTRINSICS, MASKS};
 use m4_core::median;
-use m4_geometry::classical::dense::DenseFrame;
-use m4_geometry::classical::sparse::FocalSource;
-use m4_geometry::classical::{CameraMotion, Motion, SparseReconstruction};
 use serde::{Deserialize, Serialize};
 
 /// How good geometry is likely to be.
@@ -77,19 +77,22 @@ const VIEWS: usize = 8;
 
 /// What is known besides the numbers.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Circumstances {
+pub struct Circumstances {
+    /// How much the camera's motion reveals.
     pub camera_motion: CameraMotion,
+    /// Masks were given.
     pub masks_given: bool,
     /// Two rigid worlds explain the clip about equally well.
     pub tied: bool,
+    /// Depth was given.
     pub depth_given: bool,
-    /// By a network, from each frame alone.
+    /// Depth was predicted by a network, from each frame alone.
     pub depth_predicted: bool,
 }
 
 impl Confidence {
-    /// Of a result; `known_depth` is the share of pixels whose depth was given.
-    pub(super) fn of(
+    /// Grades a result; `known_depth` is the share of pixels whose depth was given, 0..1.
+    pub fn of(
         sparse: &SparseReconstruction,
         focal: FocalSource,
         dense: &[DenseFrame],
@@ -144,7 +147,7 @@ impl Confidence {
     }
 
     /// The worst of the findings, and what helps against it; of several that are as bad, the first.
-    pub(super) fn judge(&self, around: Circumstances) -> (Grade, Option<String>) {
+    fn judge(&self, around: Circumstances) -> (Grade, Option<String>) {
         let low = |value: f64, fair: f64, poor: f64| {
             if value < poor {
                 Grade::Poor
@@ -293,8 +296,9 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Circumstances, Confidence, DEPTH, FIELD_OF_VIEW, Focal, Grade, MASKS};
-    use m4_geometry::classical::CameraMotion;
+    use super::{
+        CameraMotion, Circumstances, Confidence, DEPTH, FIELD_OF_VIEW, Focal, Grade, MASKS,
+    };
 
     const FINE: Confidence = Confidence {
         grade: Grade::Good,
