@@ -79,7 +79,7 @@ fn cameras_of_a_long_clip_use_more_frames_than_are_kept() {
     let (_, warnings, capture) = of(images(&truth), "--max-frames 8");
     contains(&warnings, &["320 frames", "29", m4_core::advice::FRAMES]);
     // 29 frames have depth, 8 of them are kept
-    let kept: Vec<Camera> = m4_io::video::evenly(320, Some(29))
+    let kept: Vec<Camera> = m4_core::evenly(320, Some(29))
         .into_iter()
         .step_by(4)
         .map(|i| truth[i])

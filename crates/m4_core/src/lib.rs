@@ -48,7 +48,7 @@ pub use flow::{Flow, bilinear, bilinear_cell, cubic};
 pub use nalgebra;
 pub use plane::{Plane, ShapeError, covering};
 pub use progress::{Progress, Silent};
-pub use real::{Real, median, quantile};
+pub use real::{Real, evenly, median, quantile};
 pub use resize::{ResizeFilter, dilated, resize_rgb};
 pub use rng::CounterRng;
 pub use scaffold::{BINDING_NODES, Binding, Pose, Window};

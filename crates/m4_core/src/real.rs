@@ -57,9 +57,21 @@ pub fn median<T: Real>(values: &mut [T]) -> Option<T> {
     quantile(values, 0.5)
 }
 
+/// Returns the indices of `count` evenly spaced ones of `n` things, the first and the last among
+/// them; of all of them for `None`.
+pub fn evenly(n: usize, count: Option<usize>) -> Vec<usize> {
+    match count {
+        Some(1) if n > 0 => vec![0],
+        Some(k) if k < n => (0..k)
+            .map(|i| (i * (n - 1) + (k - 1) / 2) / (k - 1))
+            .collect(),
+        _ => (0..n).collect(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{median, quantile};
+    use super::{evenly, median, quantile};
 
     #[test]
     fn quantiles_are_values_of_the_nearest_rank() {
@@ -73,5 +85,22 @@ mod tests {
             assert_eq!(median(&mut values), Some(f64::from(n / 2)), "{n}");
         }
         assert_eq!(median::<f64>(&mut []), None);
+    }
+
+    #[test]
+    fn kept_frames_span_the_clip_evenly() {
+        assert_eq!(evenly(10, Some(4)), [0, 3, 6, 9]);
+        assert_eq!(evenly(96, Some(2)), [0, 95]);
+        assert_eq!(evenly(3, Some(9)), [0, 1, 2]);
+        assert_eq!(evenly(5, Some(1)), [0]);
+        for k in 2..50 {
+            let picked = evenly(50, Some(k));
+            assert_eq!((picked.len(), picked[0], picked[k - 1]), (k, 0, 49));
+            let steps: Vec<usize> = picked.windows(2).map(|w| w[1] - w[0]).collect();
+            assert!(
+                steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1,
+                "{k}: {steps:?}"
+            );
+        }
     }
 }

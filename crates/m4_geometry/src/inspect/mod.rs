@@ -6,6 +6,7 @@
 //! frames of one -> bars       the rectangle within the bars
 //!               -> Overlays   pixels that stay while the scene moves; filled from around (overlay, fill)
 //!               -> Exposure   brightness of the frames (exposure)
+//!               -> Footage    the frames cleaned of all that, and what was done to them
 //! ```
 //!
 //! All of it is measured against the clip itself: a share of its own detail, of its own motion, of
@@ -15,17 +16,20 @@ mod bars;
 mod dissolve;
 mod exposure;
 mod fill;
+mod footage;
 mod link;
 mod overlay;
 mod repeats;
 #[cfg(test)]
 mod tests;
 mod timeline;
+mod words;
 
 pub use bars::{Rectangle, bars};
 pub use exposure::Exposure;
+pub use footage::{Footage, nearest};
 pub use overlay::Overlays;
-pub use timeline::{LeftOut, Reason, Shot, Shown, Timeline};
+pub use timeline::{LeftOut, Reason, Shot, ShotError, Shown, Timeline};
 
 use crate::classical::sparse::luma::{WorkingSize, luma};
 use m4_core::{Plane, RgbImage};
@@ -37,7 +41,7 @@ fn small(image: &RgbImage, longest_px: usize) -> Plane<f32> {
 }
 
 /// The part of `plane` within `area`.
-fn cut_out(plane: &Plane<f32>, area: Rectangle) -> Plane<f32> {
+fn cut_out<T: Copy>(plane: &Plane<T>, area: Rectangle) -> Plane<T> {
     Plane::from_fn(area.width, area.height, |x, y| {
         plane[(area.x + x, area.y + y)]
     })
@@ -45,11 +49,5 @@ fn cut_out(plane: &Plane<f32>, area: Rectangle) -> Plane<f32> {
 
 /// The value that a share of `values` is below; 0 for none.
 fn quantile(values: &[f32], share: f64) -> f32 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f32::total_cmp);
-    let last = sorted.len().saturating_sub(1);
-    sorted
-        .get((share * last as f64).round() as usize)
-        .copied()
-        .unwrap_or(0.0)
+    m4_core::quantile(&mut values.to_vec(), share).unwrap_or(0.0)
 }

@@ -3,6 +3,7 @@
 use super::dissolve::without_dissolves;
 use super::link::{Link, SIDE_PX, coarse, detail, likeness};
 use super::repeats::{self, Step};
+use super::words::shots;
 use super::{bars, cut_out, quantile, small};
 use m4_core::{Plane, RgbImage};
 use rayon::prelude::*;
@@ -78,6 +79,19 @@ pub struct Timeline {
     pub left_out: Vec<LeftOut>,
 }
 
+/// The shot that was asked for is not there.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("shot {asked} was asked for, and the clip {}", match spans_s.len() {
+    1 => "is one shot without a cut".to_owned(),
+    n => format!("has {n}: {}", shots(spans_s)),
+})]
+pub struct ShotError {
+    /// Its number, from 1.
+    pub asked: usize,
+    /// First and last time of each shot, seconds.
+    pub spans_s: Vec<[f64; 2]>,
+}
+
 /// Shots that are shorter are not offered, seconds.
 const MIN_SHOT_S: f64 = 0.5;
 /// A blank frame has less than this share of the detail of the clip.
@@ -107,6 +121,23 @@ impl Timeline {
     pub fn new(frames: &[&RgbImage], times_s: &[f64]) -> Self {
         assert_eq!(frames.len(), times_s.len(), "a time per frame");
         Inspection::new(frames, times_s).timeline()
+    }
+
+    /// Returns the index of the shot of the number `asked`, from 1, else of the longest.
+    ///
+    /// # Errors
+    ///
+    /// [`ShotError`] where there is no such shot.
+    pub fn chosen(&self, asked: Option<usize>) -> Result<usize, ShotError> {
+        let Some(asked) = asked else {
+            return Ok(self.longest());
+        };
+        let index = asked.wrapping_sub(1);
+        if index < self.shots.len() {
+            return Ok(index);
+        }
+        let spans_s = self.shots.iter().map(Shot::span_s).collect();
+        Err(ShotError { asked, spans_s })
     }
 
     /// The shot that lasts longest, the first of them.

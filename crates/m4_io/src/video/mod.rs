@@ -36,6 +36,6 @@ mod write;
 
 pub use decoder::{DecoderLimits, DecoderProgram, decoder_program, set_decoder_program};
 pub use h264::serve as serve_decoder;
-pub use plan::{VideoOptions, evenly};
+pub use plan::VideoOptions;
 pub use read::{image_files, read, read_with};
 pub use write::Mp4Writer;

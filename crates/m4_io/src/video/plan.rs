@@ -3,7 +3,7 @@
 
 use super::decoder::DecoderLimits;
 use crate::Fault;
-use m4_core::{ResizeFilter, RgbImage, Video, VideoFrame, resize_rgb};
+use m4_core::{ResizeFilter, RgbImage, Video, VideoFrame, evenly, resize_rgb};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -58,17 +58,6 @@ pub fn check_options(options: &VideoOptions) -> Result<(), Fault> {
 pub fn in_range(time_s: f64, options: &VideoOptions) -> bool {
     options.start_s.is_none_or(|s| time_s >= s - TIME_SLACK_S)
         && options.end_s.is_none_or(|s| time_s <= s + TIME_SLACK_S)
-}
-
-/// Indices of `count` evenly spaced ones of `n` things, the first and the last among them.
-pub fn evenly(n: usize, count: Option<usize>) -> Vec<usize> {
-    match count {
-        Some(1) if n > 0 => vec![0],
-        Some(k) if k < n => (0..k)
-            .map(|i| (i * (n - 1) + (k - 1) / 2) / (k - 1))
-            .collect(),
-        _ => (0..n).collect(),
-    }
 }
 
 /// Indices of the frames to keep, given when each is shown: seconds from the first, in order.
@@ -279,7 +268,7 @@ impl Default for VideoOptions {
 
 #[cfg(test)]
 mod tests {
-    use super::{VideoOptions, among, evenly};
+    use super::{VideoOptions, among};
 
     #[test]
     fn frames_at_given_times_are_the_nearest() {
@@ -295,22 +284,5 @@ mod tests {
         assert_eq!(at(&[-1.0, 0.1004, 0.36, 7.0]), [0, 1, 3, 4]);
         assert_eq!(at(&[0.9, 0.1, 0.1]), [1, 4]);
         assert!(at(&[]).is_empty());
-    }
-
-    #[test]
-    fn kept_frames_span_the_clip_evenly() {
-        assert_eq!(evenly(10, Some(4)), [0, 3, 6, 9]);
-        assert_eq!(evenly(96, Some(2)), [0, 95]);
-        assert_eq!(evenly(3, Some(9)), [0, 1, 2]);
-        assert_eq!(evenly(5, Some(1)), [0]);
-        for k in 2..50 {
-            let picked = evenly(50, Some(k));
-            assert_eq!((picked.len(), picked[0], picked[k - 1]), (k, 0, 49));
-            let steps: Vec<usize> = picked.windows(2).map(|w| w[1] - w[0]).collect();
-            assert!(
-                steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1,
-                "{k}: {steps:?}"
-            );
-        }
     }
 }

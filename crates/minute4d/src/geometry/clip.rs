@@ -7,19 +7,20 @@
 //! smaller steps still, and cost little.
 
 use super::Context;
-use super::footage::{self, Chosen, Footage};
+use super::footage::{self, Chosen};
 use super::frontend::Plan;
 use super::given::Given;
 use crate::{Error, Refusal, Settings};
 use m4_core::advice::FRAMES;
 use m4_core::{
     Camera, Capture, CaptureFrame, CompactDepth, CompactMask, Plane, Progress, RgbImage, Tracks,
-    Video,
+    Video, evenly,
 };
 use m4_geometry::FrameRate;
 use m4_geometry::classical::dense::DynamicObject;
 use m4_geometry::classical::sparse::SparseConfig;
-use m4_io::video::{VideoOptions, evenly};
+use m4_geometry::inspect::Footage;
+use m4_io::video::VideoOptions;
 use std::path::Path;
 
 /// A clip and what is known of it.
@@ -328,9 +329,9 @@ fn to_read(n_kept: usize) -> usize {
 mod tests {
     use super::{Between, MOST_FRAMES, MOST_TRACKED, MOST_WITH_DEPTH, to_read};
     use crate::Silent;
+    use m4_core::evenly;
     use m4_core::{Capture, Plane, Tracks, Video, VideoFrame};
     use m4_geometry::classical::dense::{DistanceCue, DynamicObject};
-    use m4_io::video::evenly;
     use m4_testkit::clips::plain_clip;
 
     #[test]

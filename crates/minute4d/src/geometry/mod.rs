@@ -24,8 +24,8 @@ mod lens;
 mod megasam;
 mod summary;
 
-pub use footage::Footage;
 pub use m4_geometry::classical::confidence::{Confidence, Focal, Grade};
+pub use m4_geometry::inspect::Footage;
 pub use summary::GeometrySummary;
 
 use crate::cache::Steps;

@@ -1,8 +1,7 @@
 //! Warnings about a clip.
 
-use super::Footage;
+use super::{Footage, Reason, Rectangle, Shot, Timeline};
 use m4_core::{Progress, advice};
-use m4_geometry::inspect::{Reason, Rectangle, Shot};
 
 /// Shots, or stretches of time, that a message lists at most.
 const MOST_LISTED: usize = 12;
@@ -87,16 +86,32 @@ pub(super) fn exposure(percent: f64) -> String {
 }
 
 impl Footage {
-    /// Counts and reports the frames that are left out; `of` gives their times, seconds.
+    /// Counts and reports the frames that are left out beside the shot with the index `used`.
     pub(super) fn tell_frames(
         &mut self,
-        of: &dyn Fn(Reason) -> Vec<f64>,
-        shot: &Shot,
-        observer: &dyn Progress,
+        timeline: &Timeline,
+        used: usize,
+        times_s: &[f64],
+        progress: &dyn Progress,
     ) {
+        let shot = &timeline.shots[used];
+        let first = |shot: &Shot| shot.frames.first().map_or(0, |f| f.index);
+        let end = timeline.shots.get(used + 1).map_or(times_s.len(), first);
+        let within = |i: usize| (first(shot)..end).contains(&i);
+        let of = |reason: Reason| -> Vec<f64> {
+            let here = timeline
+                .left_out
+                .iter()
+                .filter(|left| left.reason == reason);
+            // Repeats and odd frames of other shots are no concern.
+            let anywhere = !matches!(reason, Reason::Repeated | Reason::Odd);
+            here.filter(|left| anywhere || within(left.index))
+                .map(|left| times_s[left.index])
+                .collect()
+        };
         if self.shots.len() > 1 {
             let n = self.shots.len();
-            observer.warn(&format!(
+            progress.warn(&format!(
                 "the clip has {n} shots ({}): shot {} is used, or {}",
                 shots(&self.shots),
                 self.shot,
@@ -107,7 +122,7 @@ impl Footage {
             let times_s = of(reason);
             if !times_s.is_empty() {
                 let n = frames(times_s.len());
-                observer.warn(&format!(
+                progress.warn(&format!(
                     "{n} at {} {what}: left out",
                     stretches(&times_s, GAP_S)
                 ));
@@ -133,12 +148,12 @@ impl Footage {
             let all = repeated + shot.frames.len();
             let [from, to] = shot.span_s();
             let rate = (shot.frames.len() - 1) as f64 / (to - from).max(1e-6);
-            observer.warn(&format!(
+            progress.warn(&format!(
                 "{repeated} of {all} frames repeat the one before ({rate:.1} different frames per second): left out"
             ));
         }
         for [from, to] in &self.frozen_s {
-            observer.warn(&format!(
+            progress.warn(&format!(
                 "the image is frozen from {from:.2} s to {to:.2} s: these frames are kept, as a time in which nothing moves"
             ));
         }
