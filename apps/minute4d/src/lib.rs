@@ -10,7 +10,6 @@ mod cli;
 mod commands;
 pub mod failure;
 mod gallery;
-mod html;
 mod memory;
 pub mod options;
 pub mod output;

@@ -6,10 +6,14 @@
 //! images --encode_frames--> Frames --+
 //! ```
 //!
+//! [`panels`] places the images of a preview side by side, [`html`] fills templates of other pages.
+//!
 //! The page itself is TypeScript in `crates/m4_viewer/page`, built and kept as `page.html`.
 #![forbid(unsafe_code)]
 
+pub mod html;
 pub mod page;
+pub mod panels;
 pub mod payload;
 pub mod server;
 

@@ -3,8 +3,8 @@
 //! The page lies in the folder of the scenes and refers to their files by relative addresses, so
 //! that the folder can be opened from a disk or copied to any web host as it is.
 
-use crate::html::{address, escape, fill};
 use crate::run::record::RUN_FILE;
+use m4_viewer::html::{address, escape, fill};
 use minute4d::json::read_json;
 use minute4d::layout::{PREVIEW_FILE, VIEWER_FILE};
 use minute4d::{Error, Refusal};

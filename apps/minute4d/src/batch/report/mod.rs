@@ -3,11 +3,11 @@
 use crate::batch::layout::{JobRecord, Layout, Outcome};
 use crate::batch::manifest::{Job, Manifest};
 use crate::batch::publish::{Present, present};
-use crate::html::{escape, fill};
 use crate::run::record::RUN_FILE;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use m4_io::files;
+use m4_viewer::html::{escape, fill};
 use minute4d::Error;
 use minute4d::json::{MAX_RECORD_BYTES, read_json};
 use minute4d::layout::POSTER_FILE;
