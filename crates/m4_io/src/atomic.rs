@@ -134,6 +134,33 @@ fn no_file() -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, "the path names no file")
 }
 
+/// Removes the files in `folder`, and in the folders in it if `deep`, that killed processes left of
+/// files whose names pass `is_ours`, such as [`is_temporary`]; a folder that is missing has none.
+///
+/// # Errors
+///
+/// The failure of the file system.
+pub fn remove_temporary(
+    folder: &Path,
+    deep: bool,
+    is_ours: &dyn Fn(&str) -> bool,
+) -> io::Result<()> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        let kind = entry.file_type()?;
+        if deep && kind.is_dir() {
+            remove_temporary(&entry.path(), deep, is_ours)?;
+        } else if kind.is_file() && entry.file_name().to_str().is_some_and(is_ours) {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
 /// Whether a file of this name is what a process that was killed left of any file.
 #[must_use]
 pub fn is_temporary(name: &str) -> bool {

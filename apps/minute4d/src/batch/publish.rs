@@ -8,6 +8,7 @@
 use crate::batch::layout::{Layout, RESULT_FILE, short_hash};
 use crate::batch::manifest::VERSION;
 use crate::run::record::{FileRecord, RUN_FILE, RUN_FORMAT, Status};
+use m4_io::atomic;
 use minute4d::json::{read_json, write_json};
 use minute4d::{Error, hash};
 use serde::{Deserialize, Serialize};
@@ -214,7 +215,7 @@ fn bring(from: &Path, to: &Path) -> io::Result<()> {
         fs::create_dir_all(parent)?;
     }
     fs::rename(from, to)?;
-    remove_temporary(to)
+    atomic::remove_temporary(to, true, &atomic::is_temporary)
 }
 
 fn nonce(host: &str) -> String {
@@ -234,22 +235,6 @@ fn sync_folder(folder: &Path) {
     if let Ok(folder) = File::open(folder) {
         let _ = folder.sync_all();
     }
-}
-
-fn remove_temporary(folder: &Path) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        let name = entry.file_name();
-        if entry.file_type()?.is_dir() {
-            remove_temporary(&entry.path())?;
-        } else if name
-            .to_str()
-            .is_some_and(|n| n.starts_with('.') && n.contains(".tmp-"))
-        {
-            fs::remove_file(entry.path())?;
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -16,36 +16,12 @@ use minute4d::Error;
 use minute4d::OutputError;
 use minute4d::layout::{CHECKPOINT_FOLDER, Existing, remove_file};
 use std::fs;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// Removes the temporary files of these names that a killed process left ([`m4_io::atomic`]).
 fn remove_half_written(folder: &Path, names: &[&str]) -> Result<(), Error> {
-    let ours = |name: &str| names.iter().any(|own| atomic::is_temporary_of(name, own));
-    for (name, path) in hidden(folder)? {
-        if ours(&name) {
-            remove_file(&path)?;
-        }
-    }
-    Ok(())
-}
-
-/// Returns the hidden files of a folder; empty if the folder is missing.
-fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
-    let failed = Error::read(folder);
-    let entries = match fs::read_dir(folder) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        entries => entries.map_err(failed)?,
-    };
-    let mut files = Vec::new();
-    for entry in entries {
-        let entry = entry.map_err(failed)?;
-        let name = entry.file_name().to_string_lossy().into_owned();
-        if name.starts_with('.') && entry.file_type().map_err(failed)?.is_file() {
-            files.push((name, entry.path()));
-        }
-    }
-    Ok(files)
+    let is_ours = |name: &str| names.iter().any(|own| atomic::is_temporary_of(name, own));
+    atomic::remove_temporary(folder, false, &is_ours).map_err(Error::write(folder))
 }
 
 /// The record of an earlier run or capture to resume; `None` to replace it. One with `nothing`

@@ -1,14 +1,15 @@
 //! The folder of a run.
 
-use super::{checkpoints, hidden, remove_checkpoints, remove_half_written, take_over};
+use super::{checkpoints, remove_checkpoints, remove_half_written, take_over};
 use crate::run::record::{RUN_FILE, RunRecord, Status};
 use crate::run::steps::StepFolder;
+use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_io::results::{Kind, ResultFolder};
 use minute4d::Error;
 use minute4d::layout::{
     CAPTURE_FOLDER, CHECKPOINT_FOLDER, EVAL_FILE, Existing, METRICS_FILE, POSTER_FILE,
-    PREVIEW_FILE, SCENE_FILE, VIEWER_FILE, is_capture, remove_file,
+    PREVIEW_FILE, SCENE_FILE, VIEWER_FILE, is_capture,
 };
 use std::path::{Path, PathBuf};
 
@@ -108,9 +109,9 @@ impl RunFolder {
         }
         // No other process writes these while the folder is locked.
         remove_half_written(&work, &FILES)?;
-        for (_, file) in hidden(&work.join(CHECKPOINT_FOLDER))? {
-            remove_file(&file)?;
-        }
+        let saved = work.join(CHECKPOINT_FOLDER);
+        atomic::remove_temporary(&saved, false, &atomic::is_temporary)
+            .map_err(Error::write(&saved))?;
         let input_folder = is_input.then_some(CAPTURE_FOLDER);
         Ok((
             Self {
