@@ -9,8 +9,7 @@ use minute4d::environment;
 use serde_json::Value;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Write};
-use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
-use std::sync::Mutex;
+use std::process::{ChildStdout, Command, ExitStatus, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -43,9 +42,8 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn()?;
     let (mut hold, events) = (child.stdin.take(), child.stdout.take());
-    let last_messages = Mutex::new(None);
     thread::scope(|scope| {
-        let reader = scope.spawn(|| read_events(events, watch, &last_messages, stages));
+        let reader = scope.spawn(|| read_events(events, watch, stages));
         let mut asked: Option<Instant> = None;
         let status = loop {
             if let Some(status) = child.try_wait()? {
@@ -61,11 +59,7 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::
             thread::sleep(LOOK);
         };
         drop(hold);
-        let _ = reader.join();
-        let message = last_messages
-            .lock()
-            .map(|message| message.clone())
-            .unwrap_or_default();
+        let message = reader.join().ok().flatten();
         Ok(Ended {
             code: status.code(),
             reason: message
@@ -74,13 +68,11 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Progress) -> io::
             asked: asked.is_some(),
         })
     })
-    .inspect_err(|_: &io::Error| end(&mut child))
-}
-
-fn end(child: &mut Child) {
-    // It may have ended by itself.
-    let _ = child.kill();
-    let _ = child.wait();
+    .inspect_err(|_: &io::Error| {
+        // It may have ended by itself.
+        let _ = child.kill();
+        let _ = child.wait();
+    })
 }
 
 #[cfg(unix)]
@@ -103,16 +95,14 @@ fn exit_message(status: ExitStatus) -> String {
     format!("ended without a message ({status})")
 }
 
-/// Passes progress on, notes stages, and keeps the reason of the last event.
+/// Passes progress on, notes stages, and returns the reason of the last event.
 fn read_events(
     events: Option<ChildStdout>,
     watch: &dyn Progress,
-    last_messages: &Mutex<Option<String>>,
     mut stages: File,
-) {
-    let Some(events) = events else { return };
-    for line in BufReader::new(events).lines() {
-        let Ok(line) = line else { return };
+) -> Option<String> {
+    let mut reason = None;
+    for line in BufReader::new(events?).lines().map_while(Result::ok) {
         let Ok(event) = serde_json::from_str::<Value>(&line) else {
             continue;
         };
@@ -124,14 +114,11 @@ fn read_events(
                 // The log is a help, and a full disk is noticed by the run itself.
                 let _ = stages.write_all(format!("{line}\n").as_bytes());
             }
-            "end" => {
-                if let Ok(mut message) = last_messages.lock() {
-                    *message = Some(text("reason").to_owned());
-                }
-            }
+            "end" => reason = Some(text("reason").to_owned()),
             _ => {}
         }
     }
+    reason
 }
 
 #[cfg(test)]

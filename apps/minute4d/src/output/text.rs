@@ -2,7 +2,6 @@
 //! what could not be delivered is remembered.
 
 use std::borrow::Cow;
-use std::fmt::Write as _;
 use std::io::{ErrorKind, Write};
 use std::sync::OnceLock;
 
@@ -10,17 +9,7 @@ use std::sync::OnceLock;
 /// line feed and tab, and those that reverse the order of letters. Results with exact names are
 /// those of `--json`.
 pub fn visible(text: &str) -> Cow<'_, str> {
-    if !text.contains(acts) {
-        return text.into();
-    }
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match acts(c) {
-            true => out.extend(c.escape_unicode()),
-            false => out.push(c),
-        }
-    }
-    out.into()
+    escaped(text, |c| c.escape_unicode().to_string())
 }
 
 /// The same on one line.
@@ -34,16 +23,17 @@ pub fn visible_line(text: &str) -> Cow<'_, str> {
 /// Returns a line of JSON with the characters of [`visible`] as escapes of JSON: serde writes those
 /// above U+001F as they are.
 pub fn visible_json(line: &str) -> Cow<'_, str> {
-    if !line.contains(acts) {
-        return line.into();
+    escaped(line, |c| format!("\\u{:04x}", u32::from(c)))
+}
+
+fn escaped(text: &str, escape: impl Fn(char) -> String) -> Cow<'_, str> {
+    if !text.contains(acts) {
+        return text.into();
     }
-    let mut out = String::with_capacity(line.len());
-    for c in line.chars() {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
         match acts(c) {
-            true => {
-                // Writing to a string does not fail.
-                let _ = write!(out, "\\u{:04x}", u32::from(c));
-            }
+            true => out += &escape(c),
             false => out.push(c),
         }
     }

@@ -195,11 +195,7 @@ impl Source {
     }
 
     fn record(&self) -> Option<RunRecord> {
-        if self.path.is_dir() {
-            RunRecord::read(&self.path).ok().flatten()
-        } else {
-            None
-        }
+        RunRecord::read(&self.path).ok().flatten()
     }
 
     /// Outcome of the run, once it ended; `None` while it continues. A scene alone is a result.
@@ -267,9 +263,6 @@ impl Source {
 
     /// The frames of the source, where they can be found.
     fn frames(&self, scene: &Scene, progress: &dyn Progress) -> Option<Frames> {
-        if !self.path.is_dir() {
-            return None;
-        }
         let html = files::read_text(&self.path.join(VIEWER_FILE), u64::MAX).ok();
         let from_page = html.and_then(|html| page::read_frames(&html).ok().flatten());
         if let Some(frames) = from_page.filter(|f| f.index.offsets.len() == scene.source.len() + 1)
