@@ -19,8 +19,8 @@
 //!
 //! A stage is a function of its input, its [`Settings`] and the seed. It keeps nothing on disk; the
 //! program `minute4d` adds folders with records, checkpoints and resuming. [`geometry`],
-//! [`enhance`], [`train`](mod@train), [`mod@render`], [`export`] and [`page`] have the parts of the
-//! stages.
+//! [`enhance`], [`train`](mod@train), [`mod@render`], [`export`], [`import`] and [`page`] have the
+//! parts of the stages.
 //!
 //! Clips are decoded in this process. A host that wants damaged clips to be decoded in a process of
 //! its own registers a program for it: [`m4_io::video::set_decoder_program`].
@@ -33,6 +33,7 @@ pub mod environment;
 pub mod export;
 pub mod geometry;
 pub mod hash;
+pub mod import;
 pub mod json;
 pub mod layout;
 pub mod networks;

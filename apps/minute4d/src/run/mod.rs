@@ -71,16 +71,31 @@ pub struct Job<'a> {
     pub observer: &'a dyn Observer,
 }
 
-impl Job<'_> {
+impl<'j> Job<'j> {
+    /// Puts a job together.
+    pub fn new(
+        settings: Settings,
+        device: impl Into<DeviceRequest>,
+        existing: Existing,
+        observer: &'j dyn Observer,
+    ) -> Self {
+        Self {
+            settings,
+            device: device.into(),
+            existing,
+            observer,
+        }
+    }
+
     /// The job of the geometry stage of a run: the same settings and device, which its networks use
     /// too.
     fn of_geometry<'a>(&self, observer: &'a dyn Observer) -> Job<'a> {
-        Job {
-            settings: self.settings.clone(),
-            device: self.device,
-            existing: Existing::Resume,
+        Job::new(
+            self.settings.clone(),
+            self.device,
+            Existing::Resume,
             observer,
-        }
+        )
     }
 
     /// Refuses settings that no stage can use, before any of them starts.
@@ -123,12 +138,7 @@ mod tests {
     #[test]
     fn networks_of_a_run_use_the_device_that_was_asked_for() {
         let device = DeviceChoice::Gpu(Some(1)).into();
-        let job = Job {
-            settings: Settings::fast(),
-            device,
-            existing: Existing::Refuse,
-            observer: &Silent,
-        };
+        let job = Job::new(Settings::fast(), device, Existing::Refuse, &Silent);
         let of_geometry = job.of_geometry(&Silent);
         assert_eq!(
             (of_geometry.device, of_geometry.existing),

@@ -1,7 +1,7 @@
 //! Exports a scene for other tools, and reports bytes, seconds and losses.
 //!
 //! Adding a format: a variant of [`Format`] with its row in the table, an arm in `write.rs`, and,
-//! where there is a reader, one in `crate::import`.
+//! where there is a reader, one in the program's `run::import`.
 
 mod bake;
 mod report;

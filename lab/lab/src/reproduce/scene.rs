@@ -22,7 +22,7 @@ use minute4d::layout::{self, EVAL_FILE, Existing};
 use minute4d::{Refusal, hash};
 use minute4d_cli::run::Job;
 use minute4d_cli::run::record::RunRecord;
-use minute4d_cli::run::{self, geometry, import};
+use minute4d_cli::run::{self, geometry};
 use minute4d_eval::Error;
 use minute4d_eval::{
     self as evaluate, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol,
@@ -246,7 +246,7 @@ fn whole_capture(
     let read = m4_io::dataset::read(&scene.path, format, &import, job.observer)?;
     let source = (scene.path.as_path(), format);
     let next = results.begin()?;
-    import::write_capture(&next, &read, source, options.factor, job.observer)?;
+    minute4d::import::write_capture(&next, &read, source, options.factor, job.observer)?;
     write_json(&next.join(KEY_FILE), &Imported { key })?;
     results.commit(None)?;
     Ok(None)

@@ -4,18 +4,15 @@ use super::{ImportJob, ImportOptions, STAGE};
 use crate::run::folder::CaptureFolder;
 use crate::run::record::{GeometryRecord, Source};
 use crate::run::stage;
-use m4_core::{Capture, CompactMask, Progress};
-use m4_io::capture::{self, Split};
-use m4_io::dataset::dycheck;
-use m4_io::dataset::{Imported, SourceFormat};
-use m4_io::image::{read_mask, write_mask};
+use m4_core::Capture;
+use m4_io::dataset::SourceFormat;
 use m4_io::{ErrorKind, ReadError};
+use minute4d::enhance::moving_share;
+use minute4d::import::write_capture;
 use minute4d::json::plain_json;
-use minute4d::layout::COVISIBLE_FOLDER;
 use minute4d::observer::RecordingObserver;
-use minute4d::{Error, Observer, Refusal, Settings};
+use minute4d::{Error, Observer, Settings};
 use serde::Serialize;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -66,7 +63,8 @@ pub(super) fn make(
     };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     if format == SourceFormat::Megasam {
-        check_megasam(&options)?;
+        let allowed = ["--fps", "--allow-outside"];
+        job.refuse_options(&allowed, format.name(), ", which has its own")?;
     }
     let imported = m4_io::dataset::read(file, format, &options, &keeper).map_err(source_stopped)?;
     let settings = plain_json(&Dependencies {
@@ -89,7 +87,7 @@ pub(super) fn make(
         .collect();
     let mut folder = CaptureFolder::open(out, job.existing, record, &inputs, observer)?;
     folder.stage(STAGE, |folder, steps| {
-        write(
+        write_capture(
             &folder.next(),
             &imported,
             (file, format),
@@ -105,57 +103,6 @@ pub(super) fn make(
         held_out,
         folder.record.seconds,
     ))
-}
-
-/// Writes the held-out views with the masks of co-visibility that their data set publishes, then
-/// the frames.
-pub fn write(
-    out: &Path,
-    imported: &Imported,
-    (source, format): (&Path, SourceFormat),
-    factor: Option<u32>,
-    observer: &dyn Progress,
-) -> Result<(), Error> {
-    if let Some(test) = &imported.test {
-        capture::write(out, test, Split::Test, observer)?;
-        if format == SourceFormat::Dycheck {
-            let masks = copy_covisible(out, test, |name| dycheck::covisible(source, name, factor))?;
-            // Nerfies and HyperNeRF publish none
-            if (1..test.frames.len()).contains(&masks) {
-                observer.warn(&format!(
-                    "{} of {} views of {} have no published co-visibility mask",
-                    test.frames.len() - masks,
-                    test.frames.len(),
-                    source.display()
-                ));
-            }
-        }
-    }
-    Ok(capture::write(
-        out,
-        &imported.train,
-        Split::Train,
-        observer,
-    )?)
-}
-
-/// Refuses options of what the files of MegaSaM hold themselves.
-fn check_megasam(options: &ImportOptions) -> Result<(), Refusal> {
-    let beside = [
-        ("--images", options.images.is_some()),
-        ("--depth", options.depth.is_some()),
-        ("--masks", options.masks.is_some()),
-        ("--factor", options.factor.is_some()),
-    ];
-    match beside.into_iter().find(|(_, is_given)| *is_given) {
-        Some((option, _)) => {
-            let format = SourceFormat::Megasam.name();
-            Err(Refusal::usage(format!(
-                "{option} has no meaning for {format}, which has its own; leave it out"
-            )))
-        }
-        None => Ok(()),
-    }
 }
 
 fn source_stopped(error: ReadError) -> Error {
@@ -185,8 +132,6 @@ fn report(
         .flat_map(|d| d.every(1))
         .filter(|z| *z > 0.0)
         .count();
-    let masks = || frames.iter().filter_map(|f| f.mask.as_ref());
-    let n_dynamic: usize = masks().map(CompactMask::count).sum();
     CaptureReport {
         format,
         path: out.to_path_buf(),
@@ -195,33 +140,8 @@ fn report(
         fov_deg: lens.map_or(0.0, |k| k.horizontal_fov_rad().to_degrees()),
         duration_s: capture.duration_s,
         known_share: known_pixels as f64 / pixels,
-        moving_share: masks().next().map(|_| n_dynamic as f64 / pixels),
+        moving_share: moving_share(capture),
         held_out,
         seconds,
     }
-}
-
-/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the
-/// capture is that of its image. Files that do not exist are passed over; says how many were
-/// copied.
-fn copy_covisible(
-    capture: &Path,
-    views: &Capture,
-    from: impl Fn(&str) -> PathBuf,
-) -> Result<usize, Error> {
-    let folder = capture.join(COVISIBLE_FOLDER);
-    let mut copied = 0;
-    for (i, view) in views.frames.iter().enumerate() {
-        let source = from(&view.name);
-        if !source.is_file() {
-            continue;
-        }
-        let mask = read_mask(&source)?.to_mask();
-        if copied == 0 {
-            fs::create_dir_all(&folder).map_err(Error::write(&folder))?;
-        }
-        write_mask(&folder.join(format!("{i:05}.png")), &mask)?;
-        copied += 1;
-    }
-    Ok(copied)
 }

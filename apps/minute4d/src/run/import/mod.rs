@@ -10,8 +10,7 @@ mod capture;
 mod format;
 
 pub use capture::CaptureReport;
-pub use capture::write as write_capture;
-pub use format::{ImportFormat, default_cameras};
+pub use format::ImportFormat;
 pub use m4_io::dataset::{ImportOptions, SourceFormat};
 
 use crate::run::Clock;
@@ -21,6 +20,7 @@ use crate::run::stage;
 use crate::run::workspace::{Task, Workspace};
 use m4_io::scene::{Imported, fourdgs, ply, safetensors};
 use minute4d::export::{Format, Losses};
+use minute4d::import::default_cameras;
 use minute4d::layout::{Existing, SCENE_FILE};
 use minute4d::{Error, Observer, Refusal, Settings};
 use serde::Serialize;
@@ -83,13 +83,7 @@ pub fn make(
                 .map(|report| Report::Capture(Box::new(report)));
         }
     };
-    if let Some(option) = job.of_captures() {
-        let format = format.name();
-        return Err(Refusal::usage(format!(
-            "{option} has no meaning for {format} files, which hold splats; leave it out"
-        ))
-        .into());
-    }
+    job.refuse_options(&[], splats.name(), " files, which hold splats")?;
     scene(file, out, splats, job.existing, observer).map(Report::Scene)
 }
 
@@ -101,12 +95,12 @@ fn scene(
     existing: Existing,
     observer: &dyn Observer,
 ) -> Result<ImportReport, Error> {
-    let job = Job {
-        settings: Settings::fast(),
-        device: minute4d::device::DeviceRequest::default(),
+    let job = Job::new(
+        Settings::fast(),
+        minute4d::device::DeviceRequest::default(),
         existing,
         observer,
-    };
+    );
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     let Imported {
         mut scene,
@@ -174,8 +168,9 @@ impl ImportJob {
         }
     }
 
-    /// An option that has a meaning for captures alone and was given.
-    fn of_captures(&self) -> Option<&'static str> {
+    /// Refuses options that were given, but for those in `allowed`; `has` says what the format has
+    /// instead of their meaning.
+    fn refuse_options(&self, allowed: &[&str], format: &str, has: &str) -> Result<(), Refusal> {
         let (o, d) = (&self.options, ImportOptions::default());
         let options = [
             ("--fps", o.fps != d.fps),
@@ -185,10 +180,14 @@ impl ImportJob {
             ("--factor", o.factor != d.factor),
             ("--allow-outside", o.reach != d.reach),
         ];
-        options
-            .into_iter()
-            .find(|(_, is_given)| *is_given)
-            .map(|(name, _)| name)
+        let mut given = options
+            .iter()
+            .filter(|(name, is_given)| *is_given && !allowed.contains(name));
+        given.next().map_or(Ok(()), |(option, _)| {
+            Err(Refusal::usage(format!(
+                "{option} has no meaning for {format}{has}; leave it out"
+            )))
+        })
     }
 }
 
