@@ -56,8 +56,7 @@ const QUICK_STEPS: usize = 5;
 
 pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {
     let report = bench::run(&config(args, common)?, output)?;
-    output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
-    Ok(())
+    Ok(output.result(report.to_markdown(), &report)?)
 }
 
 fn config(args: &Bench, common: &Common) -> Result<BenchConfig, Failure> {

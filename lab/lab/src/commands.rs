@@ -56,20 +56,14 @@ pub fn run_geometry(args: &EvalGeometry, output: &Output) -> Result<(), Failure>
         settings.capture.reach = reach;
         settings.train.iterations = args.train.unwrap_or(settings.train.iterations);
         settings.viewer.write = false;
-        let job = Job {
-            settings,
-            device: DeviceRequest::default(),
-            existing: Existing::Resume,
-            observer: output,
-        };
+        let job = Job::new(settings, DeviceRequest::default(), Existing::Resume, output);
         let training = args.out.as_deref().map(|out| (out, &job));
         let options = &job.settings.capture;
         let rows = explain(&args.capture, &args.truth, options, training, output)?;
         text += &explain_table(&rows);
         value["explain"] = minute4d::plain_json(&rows)?;
     }
-    output.result(&text, value);
-    Ok(())
+    Ok(output.result(&text, &value)?)
 }
 
 #[derive(Debug, Args)]
@@ -142,19 +136,13 @@ pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
         factor: args.factor,
         refine_poses: args.refine_poses,
     };
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: Existing::Resume,
-        observer: output,
-    };
+    let job = Job::new(settings, args.device, Existing::Resume, output);
     let report = reproduce(args.suite, &args.data, &args.out, &options, &job)?;
     output.note(&format!(
         "tables written to {}",
         args.out.join(TABLE_FILE).display()
     ));
-    output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
-    Ok(())
+    Ok(output.result(report.to_markdown(), &report)?)
 }
 
 #[derive(Debug, Args)]
@@ -202,12 +190,7 @@ pub fn ablate(args: &Ablate, output: &Output) -> Result<(), Failure> {
         data: args.data.clone(),
         grow_mask: args.grow_mask,
     };
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: Existing::Resume,
-        observer: output,
-    };
+    let job = Job::new(settings, args.device, Existing::Resume, output);
     let report = ablate::ablate(&args.input, &args.out, &options, &job)?;
     if let Some(image) = &report.image {
         output.note(&format!(
@@ -215,6 +198,5 @@ pub fn ablate(args: &Ablate, output: &Output) -> Result<(), Failure> {
             image.display()
         ));
     }
-    output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
-    Ok(())
+    Ok(output.result(report.to_markdown(), &report)?)
 }

@@ -112,7 +112,7 @@ fn trained(
     results.check_free(minute4d::layout::capture_names())?;
     capture::write(&results.begin()?, replaced, Split::Train, job.observer)?;
     results.commit(None)?;
-    minute4d_cli::run::train::make(&data, &out, job)?;
+    minute4d_cli::run::train::make(&data, &out, job, false)?;
     let options = EvalOptions {
         reach: options.reach,
         ..EvalOptions::default()

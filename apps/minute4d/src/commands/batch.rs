@@ -116,11 +116,10 @@ fn submit_jobs(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
         false => ids.join("\n"),
     };
     let indices: Vec<&String> = arrays.iter().map(|(_, tasks)| tasks).collect();
-    output.result(
+    Ok(output.result(
         &text,
-        json!({"script": file, "arrays": indices, "logs": logs, "submitted": !args.dry_run, "ids": ids}),
-    );
-    Ok(())
+        &json!({"script": file, "arrays": indices, "logs": logs, "submitted": !args.dry_run, "ids": ids}),
+    )?)
 }
 
 fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
@@ -141,8 +140,7 @@ fn status(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
     if args.failed {
         report.clips.retain(|clip| clip.state.is_trouble());
     }
-    output.result(&table, minute4d::plain_json(&report)?);
-    Ok(())
+    Ok(output.result(&table, &report)?)
 }
 
 fn absolute(path: &Path) -> Result<PathBuf, Failure> {
@@ -212,11 +210,10 @@ fn run_plan(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
         planned.jobs.len() - 1
     ));
     let ids: Vec<&str> = planned.jobs.iter().map(|j| j.id.as_str()).collect();
-    output.result(
-        &manifest.display().to_string(),
-        json!({"path": manifest, "jobs": ids.len(), "ids": ids, "training_s": training, "results": results}),
-    );
-    Ok(())
+    Ok(output.result(
+        manifest.display(),
+        &json!({"path": manifest, "jobs": ids.len(), "ids": ids, "training_s": training, "results": results}),
+    )?)
 }
 
 /// Returns the arguments of every run.
@@ -302,8 +299,8 @@ fn run_index(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fa
     let text = describe(id, &end);
     output.result(
         &text,
-        json!({"index": index, "id": id, "outcome": end.outcome, "seconds": end.seconds, "reason": end.reason}),
-    );
+        &json!({"index": index, "id": id, "outcome": end.outcome, "seconds": end.seconds, "reason": end.reason}),
+    )?;
     let code = match end.outcome {
         Outcome::Done => return Ok(()),
         Outcome::Failed => Category::BadInput.exit_code(),

@@ -62,9 +62,7 @@ struct Ffmpeg {
 
 pub fn run(output: &Output) -> Result<(), Failure> {
     let machine = examine()?;
-    let value = minute4d::plain_json(&machine)?;
-    output.result(&describe(&machine), value);
-    Ok(())
+    Ok(output.result(describe(&machine), &machine)?)
 }
 
 fn examine() -> Result<Machine, Failure> {
@@ -129,8 +127,6 @@ fn ffmpeg() -> Ffmpeg {
 fn gpus() -> Vec<GpuAdapter> {
     use m4_kernels::gpu::{AdapterKind, adapters};
     let all = adapters();
-    let usable =
-        |a: &m4_kernels::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
     let chosen = m4_kernels::gpu::automatic(all).map(|a| a.index);
     let why = |a: &m4_kernels::gpu::Adapter| match (&a.unfit, a.kind) {
         (Some(unfit), _) => Some(unfit.clone()),
@@ -140,9 +136,7 @@ fn gpus() -> Vec<GpuAdapter> {
         (None, kind) if kind != AdapterKind::Discrete => {
             Some("not measured; --device gpu uses it".to_owned())
         }
-        (None, _) if usable(a) && chosen != Some(a.index) => {
-            Some("another GPU is better".to_owned())
-        }
+        (None, _) if chosen != Some(a.index) => Some("another GPU is better".to_owned()),
         _ => None,
     };
     all.iter()
@@ -273,6 +267,14 @@ fn describe(machine: &Machine) -> String {
         (None, true) => "found, version unknown".to_owned(),
         (None, false) => "not found".to_owned(),
     };
+    let unknown = || "unknown".to_owned();
+    let cores = machine.cores.map_or_else(unknown, |n| n.to_string());
+    let memory = machine.memory.as_ref().map_or_else(unknown, |m| {
+        let (all, free) = (gib(m.total_bytes), gib(m.available_bytes));
+        format!("{all:.1} GiB, {free:.1} GiB free")
+    });
+    let cpu = machine.cpu.clone().unwrap_or_else(unknown);
+    let (simd, available) = (&machine.simd, machine.simd_available.join(", "));
     let mut rows = vec![
         (
             "minute4d",
@@ -280,36 +282,10 @@ fn describe(machine: &Machine) -> String {
         ),
         (
             "processor",
-            format!(
-                "{}, {} cores, {} threads used",
-                machine.cpu.as_deref().unwrap_or("unknown"),
-                machine
-                    .cores
-                    .map_or_else(|| "unknown".to_owned(), |n| n.to_string()),
-                machine.threads
-            ),
+            format!("{cpu}, {cores} cores, {} threads used", machine.threads),
         ),
-        (
-            "instructions",
-            format!(
-                "{} (available: {})",
-                machine.simd,
-                machine.simd_available.join(", ")
-            ),
-        ),
-        (
-            "memory",
-            machine.memory.as_ref().map_or_else(
-                || "unknown".to_owned(),
-                |m| {
-                    format!(
-                        "{:.1} GiB, {:.1} GiB free",
-                        gib(m.total_bytes),
-                        gib(m.available_bytes)
-                    )
-                },
-            ),
-        ),
+        ("instructions", format!("{simd} (available: {available})")),
+        ("memory", memory),
         ("ffmpeg", ffmpeg),
     ];
     rows.extend(machine.gpus.iter().map(|gpu| ("gpu", describe_gpu(gpu))));

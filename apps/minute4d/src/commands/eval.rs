@@ -2,10 +2,9 @@
 //! training and held-out frames.
 
 use crate::failure::Failure;
-use crate::options::ReachArgs;
+use crate::options::{ReachArgs, unless_forced};
 use crate::output::Output;
 use clap::Args;
-use minute4d::Existing;
 use minute4d::device::DeviceChoice;
 use minute4d_eval::{Choices, EvalOptions, Protocol};
 use std::fmt::Write;
@@ -54,8 +53,7 @@ pub fn run(args: &Eval, output: &Output) -> Result<(), Failure> {
     if let Some(choices) = &report.choices {
         text += &describe(choices);
     }
-    output.result(&text, minute4d::plain_json(&report)?);
-    Ok(())
+    Ok(output.result(&text, &report)?)
 }
 
 /// Formats the choices of a protocol.
@@ -100,18 +98,12 @@ pub struct Split {
 }
 
 pub fn split(args: &Split, output: &Output) -> Result<(), Failure> {
-    let existing = if args.force {
-        Existing::Force
-    } else {
-        Existing::Refuse
-    };
-    let reach = args.reach.reach();
     let record = minute4d_eval::split(
         &args.capture,
         args.protocol,
         &args.out,
-        existing,
-        reach,
+        unless_forced(args.force),
+        args.reach.reach(),
         output,
     )?;
     output.note(&format!(
@@ -120,9 +112,5 @@ pub fn split(args: &Split, output: &Output) -> Result<(), Failure> {
         record.frames,
         record.frame_rule.description()
     ));
-    output.result(
-        &args.out.display().to_string(),
-        minute4d::plain_json(&record)?,
-    );
-    Ok(())
+    Ok(output.result(args.out.display(), &record)?)
 }

@@ -27,9 +27,5 @@ pub fn run(args: &Gallery, output: &Output) -> Result<(), Failure> {
         "{} scenes; the folder can be copied to any web host as it is",
         entries.len()
     ));
-    output.result(
-        &path.display().to_string(),
-        json!({"path": path, "scenes": entries}),
-    );
-    Ok(())
+    Ok(output.result(path.display(), &json!({"path": path, "scenes": entries}))?)
 }

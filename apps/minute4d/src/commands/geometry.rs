@@ -13,7 +13,6 @@ use clap::Args;
 use m4_core::advice::DEPTH_WEIGHTS;
 use minute4d::device::DeviceChoice;
 use minute4d::settings::{GeometryOptions, Segmenter, Tracker};
-use serde_json::json;
 use std::path::PathBuf;
 
 #[derive(Debug, Args)]
@@ -51,19 +50,10 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let asked = settings.geometry.clone();
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: args.existing.mode(),
-        observer: output,
-    };
+    let job = Job::new(settings, args.device, args.existing.mode(), output);
     let record = crate::run::geometry::make(input, out, &job)?;
     describe(&record, &asked, output);
-    output.result(
-        &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(&record)?}),
-    );
-    Ok(())
+    Ok(output.made(out, &record)?)
 }
 
 /// Says what geometry measured and how far it can be trusted, and in one line which weights would
@@ -135,12 +125,7 @@ pub fn enhance(args: &Enhance, output: &Output) -> Result<(), Failure> {
     else {
         return print_config(&settings, output);
     };
-    let job = Job {
-        settings,
-        device: args.device.into(),
-        existing: args.existing.mode(),
-        observer: output,
-    };
+    let job = Job::new(settings, args.device, args.existing.mode(), output);
     let report = crate::run::enhance::make(capture, out, &job)?;
     let share = |share: Option<f64>| {
         share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s))
@@ -154,9 +139,5 @@ pub fn enhance(args: &Enhance, output: &Output) -> Result<(), Failure> {
         report.tracker,
         report.tracks
     ));
-    output.result(
-        &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(&report)?}),
-    );
-    Ok(())
+    Ok(output.made(out, &report)?)
 }

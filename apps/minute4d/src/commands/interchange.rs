@@ -2,13 +2,12 @@
 //! writes a scene for other viewers, or a capture for COLMAP.
 
 use crate::failure::Failure;
-use crate::options::{ReachArgs, rate};
+use crate::options::{ReachArgs, rate, unless_forced};
 use crate::output::Output;
 use crate::run::import::{
     CaptureReport, ImportFormat, ImportJob, ImportOptions, ImportReport, Report,
 };
 use clap::Args;
-use minute4d::Existing;
 use minute4d::export::{ExportJob, Format};
 use minute4d::render::Moment;
 use std::path::PathBuf;
@@ -53,11 +52,7 @@ pub struct Import {
 impl Import {
     fn job(&self) -> ImportJob {
         ImportJob {
-            existing: if self.force {
-                Existing::Force
-            } else {
-                Existing::Refuse
-            },
+            existing: unless_forced(self.force),
             options: ImportOptions {
                 fps: self.fps,
                 images: self.images.clone(),
@@ -78,11 +73,7 @@ pub fn import(args: &Import, output: &Output) -> Result<(), Failure> {
         Report::Scene(scene) => output.note(&of_scene(scene)),
         Report::Capture(capture) => output.note(&of_capture(capture)),
     }
-    output.result(
-        &args.out.display().to_string(),
-        minute4d::plain_json(&report)?,
-    );
-    Ok(())
+    Ok(output.result(args.out.display(), &report)?)
 }
 
 fn of_scene(report: &ImportReport) -> String {
@@ -168,9 +159,5 @@ pub fn export(args: &Export, output: &Output) -> Result<(), Failure> {
     };
     let report = minute4d::export::make(&args.scene, &job, output)?;
     output.note(&report.to_string());
-    output.result(
-        &report.path.display().to_string(),
-        minute4d::plain_json(&report)?,
-    );
-    Ok(())
+    Ok(output.result(report.path.display(), &report)?)
 }

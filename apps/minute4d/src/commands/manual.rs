@@ -27,9 +27,8 @@ pub fn run<C: CommandFactory>(args: &Manual, output: &Output) -> Result<(), Fail
         clap_complete::generate_to(shell, &mut C::command(), "minute4d", &args.out)
             .map_err(failed)?;
     }
-    output.result(
-        &format!("written to {}\n", args.out.display()),
-        json!({"path": args.out}),
-    );
-    Ok(())
+    Ok(output.result(
+        format!("written to {}\n", args.out.display()),
+        &json!({"path": args.out}),
+    )?)
 }

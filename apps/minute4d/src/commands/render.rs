@@ -79,9 +79,9 @@ pub fn run(args: &Render, output: &Output) -> Result<(), Failure> {
         ..RenderJob::new(CameraPath::named(&args.path))
     };
     let done = minute4d::render::make(&args.scene, &args.out, &job, output)?;
-    output.result(
-        &args.out.display().to_string(),
-        json!({
+    Ok(output.result(
+        args.out.display(),
+        &json!({
             "path": args.out,
             "frames": done.frames,
             "fps": done.fps,
@@ -90,6 +90,5 @@ pub fn run(args: &Render, output: &Output) -> Result<(), Failure> {
             "seconds": done.seconds,
             "device": done.device,
         }),
-    );
-    Ok(())
+    )?)
 }

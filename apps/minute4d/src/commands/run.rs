@@ -11,7 +11,6 @@ use clap::Args;
 use minute4d::Observer;
 use minute4d::layout::{CAPTURE_FOLDER, PREVIEW_FILE, VIEWER_FILE, is_capture};
 use minute4d::settings::GeometryOptions;
-use serde_json::json;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -52,12 +51,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     let device = args.training.device.request()?;
     let asked = settings.geometry.clone();
     let work = |observer: &dyn Observer| {
-        let job = Job {
-            settings,
-            device,
-            existing: args.existing.mode(),
-            observer,
-        };
+        let job = Job::new(settings, device, args.existing.mode(), observer);
         if !is_capture(input) {
             return crate::run::run(input, out, &job, args.poster);
         }
@@ -67,7 +61,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
                  --depth have no effect",
             );
         }
-        crate::run::train::of_capture(input, out, &job, args.poster)
+        crate::run::train::make(input, out, &job, args.poster)
     };
     while_training(&args.page, (input, out), output, work, |done| {
         // the input of a run may be a capture, whose geometry is not this run's
@@ -88,11 +82,7 @@ pub fn report(out: &Path, done: &RunRecord, output: &Output) -> Result<(), Failu
         format!("; open {}", out.join(name).display())
     });
     output.note(&format!("finished in {}{open}", duration(done.seconds)));
-    output.result(
-        &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(done)?}),
-    );
-    Ok(())
+    Ok(output.made(out, done)?)
 }
 
 #[derive(Debug, Args)]
@@ -128,13 +118,8 @@ pub fn train(args: &Train, output: &Output) -> Result<(), Failure> {
     };
     let device = args.training.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = Job {
-            settings,
-            device,
-            existing: args.existing.mode(),
-            observer,
-        };
-        crate::run::train::make(capture, out, &job)
+        let job = Job::new(settings, device, args.existing.mode(), observer);
+        crate::run::train::make(capture, out, &job, false)
     };
     while_training(&args.page, (capture, out), output, work, |done| {
         report(out, done, output)

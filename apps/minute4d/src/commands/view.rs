@@ -38,7 +38,7 @@ pub struct PageArgs {
 
 pub fn run(args: &View, output: &Output) -> Result<(), Failure> {
     let mut viewing = crate::view::view(&args.scene, args.port.unwrap_or(0), output)?;
-    output.result(viewing.url(), json!({"url": viewing.url()}));
+    output.result(viewing.url(), &json!({"url": viewing.url()}))?;
     output.note("the page shows new scenes automatically; Ctrl-C stops the server");
     open(viewing.url(), args.no_open, output);
     output.stop().nothing_to_save();

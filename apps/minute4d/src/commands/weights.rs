@@ -186,8 +186,7 @@ fn plan(
         "about {megabytes} MB to download into {}\n",
         store.root().display()
     );
-    output.result(&text, minute4d::plain_json(&planned)?);
-    Ok(())
+    Ok(output.result(&text, &planned)?)
 }
 
 /// The failure of a download, with the command that installs a file got by hand.
@@ -264,8 +263,7 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
         text += &format!("set {set}: {}\n", names.join(", "));
     }
     text += &format!("folder: {}\n", store.root().display());
-    output.result(&text, minute4d::plain_json(&rows)?);
-    Ok(())
+    Ok(output.result(&text, &rows)?)
 }
 
 /// Reports which weights were installed, where, and under which licence.
@@ -286,8 +284,7 @@ fn report_installed(store: &Store, records: &[Record], output: &Output) -> Resul
             record.licence
         );
     }
-    output.result(&text, minute4d::plain_json(&records)?);
-    Ok(())
+    Ok(output.result(&text, &records)?)
 }
 
 #[derive(Debug, Serialize)]
@@ -341,8 +338,8 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
         } else {
             &text
         },
-        minute4d::plain_json(&files)?,
-    );
+        &files,
+    )?;
     match files.iter().find(|f| f.condition == "damaged") {
         None => Ok(()),
         Some(bad) => Err(Failure {

@@ -83,11 +83,18 @@ pub struct OutArgs {
 impl OutArgs {
     /// Returns what to do with a folder that is not empty.
     pub fn mode(&self) -> Existing {
-        match (self.resume, self.force) {
-            (true, _) => Existing::Resume,
-            (_, true) => Existing::Force,
-            _ => Existing::Refuse,
+        match self.resume {
+            true => Existing::Resume,
+            false => unless_forced(self.force),
         }
+    }
+}
+
+/// Returns what to do with a folder that is not empty where nothing can be resumed.
+pub fn unless_forced(force: bool) -> Existing {
+    match force {
+        true => Existing::Force,
+        false => Existing::Refuse,
     }
 }
 
@@ -412,8 +419,5 @@ fn apply_video(settings: &mut Settings, args: &VideoArgs) {
 
 /// Prints the effective settings as a file for `--config`.
 pub fn print_config(settings: &Settings, output: &Output) -> Result<(), Failure> {
-    let text = settings.to_toml()?;
-    let value = minute4d::plain_json(settings)?;
-    output.result(&text, value);
-    Ok(())
+    Ok(output.result(settings.to_toml()?, settings)?)
 }

@@ -36,19 +36,13 @@ fn size(text: &str, least: usize, most: usize) -> Result<(usize, usize), String>
     })
 }
 
-pub fn number(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value.is_finite() => Ok(value),
-        _ => Err(format!("{text:?} is not a number")),
-    }
-}
-
 /// Parses a number that has to pass a check; `reason` says what is allowed.
 fn checked(text: &str, check: impl FnOnce(f64) -> bool, reason: &str) -> Result<f64, String> {
-    let value = number(text)?;
-    check(value)
-        .then_some(value)
-        .ok_or_else(|| reason.to_owned())
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && check(value) => Ok(value),
+        Ok(value) if value.is_finite() => Err(reason.to_owned()),
+        _ => Err(format!("{text:?} is not a number")),
+    }
 }
 
 /// Parses seconds, at least 0, with an optional suffix `s`.
@@ -68,12 +62,9 @@ pub fn duration(text: &str) -> Result<f64, String> {
         .into_iter()
         .find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit)))
         .unwrap_or((text, 1.0));
-    match positive(digits) {
-        Ok(value) => Ok(value * unit),
-        Err(_) => Err(format!(
-            "{text:?} is not a duration above 0; write 90, 90s, 10m or 1.5h"
-        )),
-    }
+    let reason = format!("{text:?} is not a duration above 0; write 90, 90s, 10m or 1.5h");
+    let value = checked(digits, |value| value > 0.0, "").map_err(|_| reason)?;
+    Ok(value * unit)
 }
 
 pub fn degrees(text: &str) -> Result<f64, String> {
@@ -88,8 +79,4 @@ pub fn rate(text: &str) -> Result<f64, String> {
         |value| (0.1..=240.0).contains(&value),
         "it must lie between 0.1 and 240",
     )
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    checked(text, |value| value > 0.0, "it must be above 0")
 }

@@ -9,11 +9,13 @@ pub use text::{delivered, lost, to_stderr};
 
 use crate::advice::with_options;
 use crate::memory::FreedMemory;
-use minute4d::{Category, Observer, Progress, StageEvent};
+use minute4d::{Category, Error, Observer, Progress, StageEvent, plain_json};
 pub use progress::end_of_json;
 use progress::{Bars, Events, Lines};
-use serde_json::Value;
+use serde::Serialize;
+use std::fmt::Display;
 use std::io::IsTerminal;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 enum Mode {
@@ -88,15 +90,29 @@ impl Output {
     }
 
     /// Prints the result: `text` on stdout, or `value` in a `result` event.
-    pub fn result(&self, text: &str, value: Value) {
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Internal`] if the value cannot be written as JSON.
+    pub fn result(&self, text: impl Display, value: &impl Serialize) -> Result<(), Error> {
         match &self.mode {
-            Mode::Json(events) => events.emit("result", &[("result", value)]),
+            Mode::Json(events) => events.emit("result", &[("result", plain_json(value)?)]),
             Mode::Bars(bars) => {
                 bars.clear();
-                print_result(text);
+                print_result(&text.to_string());
             }
-            Mode::Lines(_) | Mode::NoWarnings => print_result(text),
+            Mode::Lines(_) | Mode::NoWarnings => print_result(&text.to_string()),
         }
+        Ok(())
+    }
+
+    /// Prints where a result is as [`result`](Self::result), in events with its record.
+    ///
+    /// # Errors
+    ///
+    /// As [`result`](Self::result).
+    pub fn made(&self, path: &Path, record: &impl Serialize) -> Result<(), Error> {
+        self.result(path.display(), &Made { path, record })
     }
 
     /// Writes the last event of `--json`, and the reason of a failure on stderr; returns the exit
@@ -121,6 +137,12 @@ impl Output {
             _ => to_stderr(message),
         }
     }
+}
+
+#[derive(Serialize)]
+struct Made<'a, R> {
+    path: &'a Path,
+    record: &'a R,
 }
 
 impl Progress for Output {

@@ -32,22 +32,13 @@ struct Dependencies<'a> {
     train: &'a TrainSettings,
 }
 
-/// Trains a scene on a capture and makes the preview, or resumes a stopped run.
+/// Trains a scene on a capture and makes the preview, or resumes a stopped run; with a poster where
+/// it is asked for.
 ///
 /// # Errors
 ///
 /// [`Error`]: the capture cannot be used, the folder cannot be used, or the user asked to stop.
-pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
-    of_capture(capture, out, job, false)
-}
-
-/// The same, with a poster where it is asked for.
-pub fn of_capture(
-    capture: &Path,
-    out: &Path,
-    job: &Job<'_>,
-    poster: bool,
-) -> Result<RunRecord, Error> {
+pub fn make(capture: &Path, out: &Path, job: &Job<'_>, poster: bool) -> Result<RunRecord, Error> {
     Error::unless_exists("capture", capture)?;
     job.check()?;
     let clock = Clock::start(&job.settings);

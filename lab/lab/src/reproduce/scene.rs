@@ -145,7 +145,7 @@ pub(super) fn make(
             format!("{path} has no held-out views, which the protocol {protocol} scores; {HINT}");
         return Err(Refusal::bad_input(message).into());
     }
-    let record = run::train::make(&data, &run, &job)?;
+    let record = run::train::make(&data, &run, &job, false)?;
     let judging = EvalOptions {
         device: job.device.choice,
         protocol: Some(protocol),
