@@ -3,7 +3,7 @@
 
 use crate::failure::{self, Failure};
 use crate::options::Common;
-use crate::output::{self, Output, StopSignal};
+use crate::output::{self, Output};
 use crate::run;
 use clap::Parser;
 use m4_io::video::{DecoderProgram, serve_decoder, set_decoder_program};
@@ -41,7 +41,7 @@ pub fn start<P: Program>(args: Vec<OsString>) -> ExitCode {
         Err(error) => return refuse(&error, &args),
     };
     let common = program.common();
-    let output = Output::new(common.json, common.quiet, StopSignal::default());
+    let output = Output::new(common.json, common.quiet);
     output::watch_signals(&output);
     if common.stop_at_eof {
         output.stop().of_an_engine();

@@ -18,7 +18,7 @@ pub mod slurm;
 pub use job::{INDEX_VARIABLES, JobEnd, Tools, index_of_environment, run_job};
 pub use layout::{JobRecord, Layout, Outcome, RESULT_FILE};
 pub use manifest::{Arguments, FORMAT, Job, Manifest, VERSION};
-pub use plan::{Plan, plan};
+pub use plan::plan;
 pub use report::{ClipReport, ClipState, Report, page};
 
 use minute4d::{Category, Refusal};

@@ -11,31 +11,27 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-/// The inputs of a plan.
-pub struct Plan<'a> {
-    /// Files and folders.
-    pub given: &'a [String],
-    /// Look into folders of folders.
-    pub recursive: bool,
-    /// The folder of results.
-    pub results: &'a Path,
-    /// What every run is started with.
-    pub run: Arguments,
-}
-
-/// Lists the clips with their hashes, in the order of their ids, and makes the folder of results.
+/// Lists the clips among the files and folders `given`, and in folders of these if `recursive`,
+/// with their hashes and in the order of their ids; `run` is what every run is started with. Makes
+/// the folder of `results`.
 ///
 /// # Errors
 ///
 /// [`Error::Read`], [`Error::Write`]; [`Error::Refused`] for what is no clip; [`Error::Stopped`].
-pub fn plan(plan: &Plan<'_>, watch: &dyn Progress) -> Result<Manifest, Error> {
-    let paths = inputs(plan.given, plan.recursive)?;
+pub fn plan(
+    given: &[String],
+    recursive: bool,
+    results: &Path,
+    run: Arguments,
+    watch: &dyn Progress,
+) -> Result<Manifest, Error> {
+    let paths = inputs(given, recursive)?;
     let mut named = Vec::with_capacity(paths.len());
     for path in &paths {
         named.push((name(path), text(path)?));
     }
     let ids = layout::ids(&named);
-    let layout = Layout::new(plan.results);
+    let layout = Layout::new(results);
     for id in &ids {
         let result = layout.result(id);
         if present(&result, "")? == Present::NotOurs {
@@ -55,8 +51,8 @@ pub fn plan(plan: &Plan<'_>, watch: &dyn Progress) -> Result<Manifest, Error> {
     let states = layout.states();
     fs::create_dir_all(&states).map_err(Error::write(&states))?;
     Ok(Manifest {
-        results: text(plan.results)?,
-        run: plan.run.clone(),
+        results: text(results)?,
+        run,
         jobs,
     })
 }

@@ -2,8 +2,7 @@
 
 use crate::batch::slurm::{Script, largest_array, submit};
 use crate::batch::{
-    Arguments, JobEnd, Manifest, Outcome, Plan, Report, Tools, index_of_environment, page, plan,
-    run_job,
+    Arguments, JobEnd, Manifest, Outcome, Report, Tools, index_of_environment, page, plan, run_job,
 };
 use crate::failure::Failure;
 use crate::options::Common;
@@ -187,15 +186,7 @@ fn run_plan(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
     args.training.device.request()?;
     let results = absolute(results)?;
     let run = arguments(args, &settings)?;
-    let planned = plan(
-        &Plan {
-            given: &args.given,
-            recursive: args.recursive,
-            results: &results,
-            run,
-        },
-        output,
-    )?;
+    let planned = plan(&args.given, args.recursive, &results, run, output)?;
     planned.write(manifest, args.force)?;
     let training = settings.train.budget_s.max(0.0) * planned.jobs.len() as f64;
     let spent = match training > 0.0 {

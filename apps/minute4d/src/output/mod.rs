@@ -4,7 +4,8 @@ mod progress;
 mod stop;
 mod text;
 
-pub use stop::{StopSignal, stop_at_eof, watch_signals};
+use stop::StopSignal;
+pub use stop::{stop_at_eof, watch_signals};
 pub use text::{delivered, lost, to_stderr};
 
 use crate::advice::with_options;
@@ -40,7 +41,7 @@ pub struct Output {
 impl Output {
     /// Chooses the mode: `json` or `quiet` as requested, else bars if stderr is a terminal that can
     /// show them, else lines.
-    pub fn new(json: bool, quiet: bool, stop: StopSignal) -> Arc<Self> {
+    pub fn new(json: bool, quiet: bool) -> Arc<Self> {
         let dumb = std::env::var_os("TERM").is_some_and(|term| term == "dumb");
         let mode = if json {
             Mode::Json(Events::start())
@@ -53,7 +54,7 @@ impl Output {
         };
         Arc::new(Self {
             mode,
-            stop,
+            stop: StopSignal::default(),
             warned: Mutex::new(Vec::new()),
             memory: FreedMemory::default(),
         })
