@@ -75,7 +75,7 @@ fn perturbed_splats_recover_image_and_velocity() {
 fn training_from_depth_exceeds_30_db() {
     let (_, capture) = video();
     let init = InitConfig {
-        max_static: 3000,
+        max_static: Some(3000),
         max_dynamic: 1500,
         ..InitConfig::fast()
     };

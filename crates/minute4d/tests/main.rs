@@ -79,7 +79,7 @@ fn dynamic(splats: &Splats) -> Splats {
 /// Mean opacity of the square at every tenth of a frame between 1 and 9.
 fn opacities(times: &[f64]) -> Vec<f64> {
     let config = InitConfig {
-        max_static: 2000,
+        max_static: Some(2000),
         max_dynamic: 60_000,
         change_threshold: 0.0,
         shell_splats: 0,

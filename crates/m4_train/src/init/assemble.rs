@@ -1,7 +1,7 @@
 //! Turns point clouds into splats.
 
 use crate::init::{
-    CellSize, InitConfig, InitError, VelocityInit,
+    CellSize, InitConfig, InitError, LEAST_STATIC, VelocityInit,
     change::changes,
     cloud::{Clouds, Pixels, clouds},
     config::stopped,
@@ -22,6 +22,12 @@ use std::ops::Range;
 /// leave cracks in views from the side (measured: -0.4 dB inside dynamic parts at 0.5;
 /// docs/decisions/0004).
 const MIN_PIXELS: f32 = 1.25;
+/// Edge of static voxels, pixels, where no number of splats is asked for; it is smaller, down to
+/// [`MIN_PIXELS`], where there would be fewer than [`LEAST_STATIC`], and larger where there would
+/// be more than [`MOST_STATIC`] (docs/decisions/0028-first-splats-by-clip.md).
+const STATIC_PIXELS: f32 = 3.0;
+/// Static splats of a clip that shows many.
+const MOST_STATIC: usize = 250_000;
 /// Edge of voxels, pixels, that merge no two pixels of a frame.
 const UNMERGED_PIXELS: f32 = 0.1;
 /// Spacing of the splats that tint changed patches, pixels at the median depth (our rule).
@@ -74,18 +80,15 @@ pub fn initialise(
     let clouds = clouds(capture, config, progress)?;
     let median_depth = clouds.median_depth;
     let grid = |pixels| grid(capture, config, &clouds, pixels);
-    let least = config.voxel_px.unwrap_or(MIN_PIXELS);
     let (static_grid, static_points) = if config.merge_surfaces {
-        let Surface { cloud, count } = surface(capture, &clouds.static_points, progress)?;
-        let grid = grid(pixels_for(config.max_static, least, |p| {
-            grid(p).occupied(&cloud)
-        }));
-        let points = grid.merge_weighted(&cloud, &count);
+        let Surface { cloud, weight } = surface(capture, &clouds.static_points, progress)?;
+        let grid = grid(static_pixels(config, |p| grid(p).occupied(&cloud)));
+        let points = grid.merge_weighted(&cloud, &weight);
         (grid, points)
     } else {
         let parts = &clouds.static_points;
         let points = |pixels: &Pixels| pixels.cloud(capture);
-        let grid = grid(pixels_for(config.max_static, least, |p| {
+        let grid = grid(static_pixels(config, |p| {
             grid(p).occupied_by(parts, points)
         }));
         let merged = grid.merge_all(parts, points);
@@ -173,6 +176,17 @@ pub fn initialise(
     Ok(first)
 }
 
+/// Edge of static voxels, pixels: the least for at most as many voxels as `config` allows, or as
+/// follow from the clip. `count` says how many voxels of an edge hold a point.
+fn static_pixels(config: &InitConfig, count: impl Fn(f32) -> usize) -> f32 {
+    let most = match (config.max_static, config.voxel_px) {
+        (Some(most), _) => most,
+        (None, Some(_)) => MOST_STATIC,
+        (None, None) => count(STATIC_PIXELS).clamp(LEAST_STATIC, MOST_STATIC),
+    };
+    pixels_for(most, config.voxel_px.unwrap_or(MIN_PIXELS), count)
+}
+
 /// The dynamic points of a clip.
 pub(crate) struct DynamicPart {
     /// Of the points.
@@ -224,9 +238,12 @@ pub(crate) fn dynamic_part(
     })
 }
 
+/// Cameras that the distance of a point is measured from: closer together than what a walk passes.
+const CENTRES: usize = 64;
+
 /// Voxels of an edge of `pixels`.
 fn grid(capture: &Capture, config: &InitConfig, clouds: &Clouds, pixels: f32) -> Grid {
-    let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), 16)
+    let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), CENTRES)
         .map(|i| capture.frames[i].camera.centre())
         .map(|c| [c.x as f32, c.y as f32, c.z as f32])
         .collect();
@@ -295,4 +312,42 @@ fn motions(
 /// At most `count` indices below `n`, evenly spread.
 fn every_nth(n: usize, count: usize) -> impl Iterator<Item = usize> {
     (0..n).step_by(n.div_ceil(count).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{LEAST_STATIC, MIN_PIXELS, MOST_STATIC, STATIC_PIXELS, static_pixels};
+    use crate::init::InitConfig;
+
+    /// Voxels of an edge that a surface of so many pixels fills.
+    fn voxels(pixels: f32) -> impl Fn(f32) -> usize {
+        move |edge| (pixels / (edge * edge)) as usize
+    }
+
+    #[test]
+    fn static_splats_follow_from_the_surface_that_a_clip_shows() {
+        let by_clip = InitConfig::fast();
+        let edge = |pixels| static_pixels(&by_clip, voxels(pixels));
+        // a clip with few pixels, one place, several, a walk
+        assert_eq!(edge(1.25 * 1.25 * 60_000.0), MIN_PIXELS);
+        for (pixels, want) in [
+            (500_000.0, LEAST_STATIC),
+            (1_500_000.0, (1_500_000.0 / STATIC_PIXELS.powi(2)) as usize),
+            (9_000_000.0, MOST_STATIC),
+        ] {
+            let n = voxels(pixels)(edge(pixels));
+            assert!(n <= want && n * 100 >= want * 96, "{n} for {want}");
+        }
+        let asked = InitConfig {
+            max_static: Some(2000),
+            ..InitConfig::fast()
+        };
+        let n = voxels(9e6)(static_pixels(&asked, voxels(9e6)));
+        assert!((1900..=2000).contains(&n), "{n}");
+        let fine = InitConfig {
+            voxel_px: Some(2.0),
+            ..InitConfig::fast()
+        };
+        assert_eq!(static_pixels(&fine, voxels(900_000.0)), 2.0);
+    }
 }

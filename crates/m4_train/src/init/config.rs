@@ -1,6 +1,10 @@
 //! What differs between initialisations, each with its source, and their errors; constants stand
 //! beside the code that uses them.
 
+/// Static splats of a clip that shows one place: the least that a clip gets where its pixels
+/// allow it ([`InitConfig::max_static`]).
+pub const LEAST_STATIC: usize = 80_000;
+
 /// How large a voxel is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellSize {
@@ -78,7 +82,8 @@ impl Default for TrackedInit {
 #[derive(Debug, Clone, PartialEq)]
 pub struct InitConfig {
     /// Most static splats to start with; the voxels' size is chosen to come close from below.
-    pub max_static: usize,
+    /// `None`: as many as the clip shows surface (docs/decisions/0028-first-splats-by-clip.md).
+    pub max_static: Option<usize>,
     /// Most dynamic points, all keyframes together, that splats are made of: the voxels' size is
     /// chosen to come close from below. A splat that lives for several keyframes stands for their
     /// points.
@@ -90,8 +95,7 @@ pub struct InitConfig {
     pub voxel_px: Option<f32>,
     /// Constant or depth-proportional voxels.
     pub cells: CellSize,
-    /// Static points are taken from at most this many frames, evenly spread. 24 frames of 480 x 360
-    /// are 4 million points, which is what 150 MB hold; twice as many bring nothing (measured).
+    /// Static points are taken from at most this many frames, evenly spread.
     pub static_frames: usize,
     /// Static points within this many pixels of a dynamic one are dropped: masks are never exact,
     /// and a dynamic pixel taken for wall stays on the wall (our rule).
@@ -145,11 +149,11 @@ impl InitConfig {
     /// (docs/spec/optimiser.md 9, D1).
     pub fn fast() -> Self {
         Self {
-            max_static: 80_000,
+            max_static: None,
             max_dynamic: 300_000,
             voxel_px: None,
             cells: CellSize::DepthProportional,
-            static_frames: 24,
+            static_frames: 48,
             mask_margin_px: 2,
             free_space: 0.015,
             merge_surfaces: true,
@@ -170,7 +174,7 @@ impl InitConfig {
     /// 3-NN distance.
     pub fn faithful() -> Self {
         Self {
-            max_static: 300_000,
+            max_static: Some(300_000),
             max_dynamic: 100_000,
             voxel_px: Some(6.0),
             cells: CellSize::Constant,
@@ -208,7 +212,7 @@ impl InitConfig {
             })
         };
         let counts = [
-            ("max_static", self.max_static),
+            ("max_static", self.max_static.unwrap_or(1)),
             ("max_dynamic", self.max_dynamic),
             ("static_frames", self.static_frames),
         ];

@@ -11,12 +11,15 @@ use crate::init::{
 };
 use m4_core::{Camera, Capture, CompactMask, Progress, nalgebra::Vector3};
 use rayon::prelude::*;
-use std::collections::{BTreeMap, BTreeSet};
 
-/// Other frames that are asked about a point.
-const WITNESSES: usize = 8;
-/// Fewest of them that must see through it.
+/// Other frames that are asked about the points of a frame.
+const WITNESSES: usize = 16;
+/// Fewest of them that must see through a point.
 const LEAST: u8 = 2;
+/// Points of a frame that tell which others see any of it.
+const PROBES: usize = 128;
+/// A point behind the depth map by this share of the depth is hidden.
+const HIDDEN_BEHIND: f32 = 0.1;
 
 /// Drops the points that at least [`LEAST`] other frames, and more than agree with them, see
 /// through: that are nearer than the depth there and around by more than `config.free_space` of it.
@@ -31,24 +34,19 @@ pub(crate) fn clear(
         return Ok(());
     }
     let frames: Vec<usize> = static_points.iter().map(|s| s.frame).collect();
-    let asked: Vec<Vec<usize>> = (0..frames.len()).map(|at| witnesses(&frames, at)).collect();
-    // the same few frames are asked about most
-    let all: BTreeSet<usize> = asked.iter().flatten().copied().collect();
-    let all: BTreeMap<usize, Witness> = all
-        .into_par_iter()
-        .filter_map(|frame| Some((frame, Witness::of(capture, frame, config)?)))
+    let all: Vec<Option<Witness>> = frames
+        .par_iter()
+        .map(|&frame| Witness::of(capture, frame, config))
         .collect();
     static_points
         .par_iter_mut()
-        .zip(&asked)
-        .try_for_each(|(pixels, asked)| {
+        .enumerate()
+        .try_for_each(|(at, pixels)| {
             stopped(progress)?;
-            let votes = votes(
-                capture,
-                pixels,
-                asked.iter().filter_map(|frame| all.get(frame)),
-                config.free_space,
-            );
+            let points = points(capture, pixels);
+            let others = all.iter().enumerate().filter(|(i, _)| *i != at);
+            let others: Vec<&Witness> = others.filter_map(|(_, w)| w.as_ref()).collect();
+            let votes = votes(&points, &witnesses(&others, &points), config.free_space);
             let mut votes = votes.into_iter();
             let (w, h) = pixels.mask.size();
             let mask = &pixels.mask;
@@ -62,15 +60,34 @@ pub(crate) fn clear(
         })
 }
 
-/// The frames that are asked about the points of `frames[at]`: evenly spread over the others.
-fn witnesses(frames: &[usize], at: usize) -> Vec<usize> {
-    let others: Vec<usize> = (0..frames.len())
-        .filter(|&i| i != at)
-        .map(|i| frames[i])
+/// The frames that are asked about these points: evenly spread over those that see any of them,
+/// for the others of a long walk are in other rooms. A frame that sees few of them does so from
+/// another direction, and tells most (docs/decisions/0028-first-splats-by-clip.md).
+fn witnesses<'a>(others: &[&'a Witness], points: &[Vector3<f64>]) -> Vec<&'a Witness> {
+    let probes = || points.iter().step_by(points.len().div_ceil(PROBES).max(1));
+    let near: Vec<&Witness> = others
+        .par_iter()
+        .filter(|w| probes().any(|p| w.shows(p)))
+        .copied()
         .collect();
-    let count = others.len().min(WITNESSES);
+    let count = near.len().min(WITNESSES);
     (0..count)
-        .map(|k| others[(2 * k + 1) * others.len() / (2 * count)])
+        .map(|k| near[(2 * k + 1) * near.len() / (2 * count)])
+        .collect()
+}
+
+/// The kept pixels in the world, row by row.
+fn points(capture: &Capture, pixels: &Pixels) -> Vec<Vector3<f64>> {
+    let frame = &capture.frames[pixels.frame];
+    let Some(depth) = &frame.depth else {
+        return Vec::new();
+    };
+    let (w, h) = depth.size();
+    let camera = frame.camera.resized(w, h);
+    pixels
+        .mask
+        .set_pixels()
+        .map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into()))
         .collect()
 }
 
@@ -81,24 +98,8 @@ struct Votes {
     agree: u8,
 }
 
-/// Of every kept pixel, row by row.
-fn votes<'a>(
-    capture: &Capture,
-    pixels: &Pixels,
-    witnesses: impl Iterator<Item = &'a Witness>,
-    tolerance: f32,
-) -> Vec<Votes> {
-    let frame = &capture.frames[pixels.frame];
-    let Some(depth) = &frame.depth else {
-        return Vec::new();
-    };
-    let (w, h) = depth.size();
-    let camera = frame.camera.resized(w, h);
-    let points: Vec<Vector3<f64>> = pixels
-        .mask
-        .set_pixels()
-        .map(|(x, y)| camera.unproject(x as f64, y as f64, depth.at(x, y).into()))
-        .collect();
+/// What `witnesses` say of each point.
+fn votes(points: &[Vector3<f64>], witnesses: &[&Witness], tolerance: f32) -> Vec<Votes> {
     let mut out = vec![Votes::default(); points.len()];
     for witness in witnesses {
         for (point, votes) in points.iter().zip(&mut out) {
@@ -154,19 +155,28 @@ impl Witness {
         })
     }
 
-    /// Whether it sees through the point; `false` if it sees the point; `None` if it cannot tell.
-    fn says(&self, point: &Vector3<f64>, tolerance: f32) -> Option<bool> {
+    /// The pixel that a point is in, and its z-depth; `None` outside of the image.
+    fn pixel(&self, point: &Vector3<f64>) -> Option<(usize, f32)> {
         let ([u, v], z) = self.camera.project(point);
         let inside = z > 0.0
             && u > -0.5
             && v > -0.5
             && u < self.width as f64 - 0.5
             && v < self.height as f64 - 0.5;
-        if !inside {
-            return None;
-        }
-        let i = (v + 0.5) as usize * self.width + (u + 0.5) as usize;
-        let (z, depth, least) = (z as f32, self.depth[i], self.least[i]);
+        let pixel = || (v + 0.5) as usize * self.width + (u + 0.5) as usize;
+        inside.then(|| (pixel(), z as f32))
+    }
+
+    /// Whether the point is in its image and not clearly behind what it sees there.
+    fn shows(&self, point: &Vector3<f64>) -> bool {
+        self.pixel(point)
+            .is_some_and(|(i, z)| z < (1.0 + HIDDEN_BEHIND) * self.depth[i])
+    }
+
+    /// Whether it sees through the point; `false` if it sees the point; `None` if it cannot tell.
+    fn says(&self, point: &Vector3<f64>, tolerance: f32) -> Option<bool> {
+        let (i, z) = self.pixel(point)?;
+        let (depth, least) = (self.depth[i], self.least[i]);
         if least > 0.0 && z < (1.0 - tolerance) * least {
             Some(true)
         } else if depth > 0.0 && (z / depth - 1.0).abs() <= tolerance {
@@ -241,6 +251,22 @@ mod tests {
         let mask = &clouds.static_points[2].mask;
         let all = (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0, i / SIZE.0));
         all.filter(|&(x, y)| !mask.at(x, y)).collect()
+    }
+
+    #[test]
+    fn frames_of_other_places_are_not_asked() {
+        let inside = |x: usize, y: usize| (30..36).contains(&x) && (4..9).contains(&y);
+        let mut walk = capture(|i, x, y| (i == 2 && inside(x, y)).then_some(3.0));
+        let removed = missing(&walk, 0.03);
+        assert_eq!(removed.len(), 30);
+        for i in 6..46 {
+            let mut frame = walk.frames[5].clone();
+            frame.camera.c2w.translation.x = 100.0 + 0.1 * i as f64;
+            frame.t = i as f64;
+            walk.frames.push(frame);
+        }
+        walk.time_frames = walk.frames.len();
+        assert_eq!(missing(&walk, 0.03), removed);
     }
 
     #[test]

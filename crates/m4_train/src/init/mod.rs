@@ -33,4 +33,6 @@ mod write;
 
 pub use accuracy::{CarriedErrors, LifeErrors, MotionErrors, motion_errors};
 pub use assemble::{FirstSplats, initialise};
-pub use config::{CellSize, InitConfig, InitError, TimeSpread, TrackedInit, VelocityInit};
+pub use config::{
+    CellSize, InitConfig, InitError, LEAST_STATIC, TimeSpread, TrackedInit, VelocityInit,
+};

@@ -13,25 +13,27 @@ const SAME: f32 = 0.03;
 /// No point.
 const NONE: u32 = u32::MAX;
 
-/// Points of surfaces, each the mean of what the frames that see it say.
+/// Points of surfaces, each the mean of what the frames that see it say. A frame counts by how
+/// many of its pixels an area of the surface has, one over the square of its depth: a nearer
+/// frame shows place and colour in more detail.
 #[derive(Debug, Default)]
 pub(crate) struct Surface {
     /// Mean position and colour.
     pub cloud: Cloud,
-    /// How many points each is the mean of.
-    pub count: Vec<f32>,
+    /// Sum of the weights of the points that each is the mean of.
+    pub weight: Vec<f64>,
 }
 
 /// What is added up of a point.
 struct Sum {
     xyz: Vector3<f64>,
     rgb: Vector3<f64>,
-    n: f64,
+    weight: f64,
 }
 
 impl Sum {
     fn mean(&self) -> Vector3<f64> {
-        self.xyz / self.n
+        self.xyz / self.weight
     }
 }
 
@@ -58,8 +60,8 @@ pub(crate) fn surface(
         out.cloud.xyz.push(sum.mean().map(|v| v as f32).into());
         out.cloud
             .rgb
-            .push((sum.rgb / sum.n).map(|v| v.round() as u8).into());
-        out.count.push(sum.n as f32);
+            .push((sum.rgb / sum.weight).map(|v| v.round() as u8).into());
+        out.weight.push(sum.weight);
     }
     Ok(out)
 }
@@ -75,22 +77,26 @@ fn add(view: &FrameCamera, cloud: &Cloud, pixels: &Pixels, sums: &mut Vec<Sum>) 
     let index = view.index(sums);
     let at: Vec<(usize, usize)> = pixels.mask.set_pixels().collect();
     let depth = |p: &[f32; 3]| view.camera.project(&Vector3::from(p.map(f64::from))).1 as f32;
-    let neighbours: Vec<u32> = at
+    let neighbours: Vec<(u32, f32)> = at
         .par_iter()
         .zip(&cloud.xyz)
-        .map(|(&at, p)| index.near(at, depth(p)))
+        .map(|(&at, p)| {
+            let z = depth(p);
+            (index.near(at, z), z)
+        })
         .collect();
-    for ((neighbour, p), rgb) in neighbours.into_iter().zip(&cloud.xyz).zip(&cloud.rgb) {
+    for (((neighbour, z), p), rgb) in neighbours.into_iter().zip(&cloud.xyz).zip(&cloud.rgb) {
+        let weight = f64::from(z).powi(-2);
         let (xyz, rgb) = (
-            Vector3::from(p.map(f64::from)),
-            Vector3::from(rgb.map(f64::from)),
+            Vector3::from(p.map(f64::from)) * weight,
+            Vector3::from(rgb.map(f64::from)) * weight,
         );
         match sums.get_mut(neighbour as usize) {
-            None => sums.push(Sum { xyz, rgb, n: 1.0 }),
+            None => sums.push(Sum { xyz, rgb, weight }),
             Some(sum) => {
                 sum.xyz += xyz;
                 sum.rgb += rgb;
-                sum.n += 1.0;
+                sum.weight += weight;
             }
         }
     }
@@ -185,19 +191,29 @@ mod tests {
 
     /// A wall from a camera that goes past, whose depth `wrong(frame, x)` changes.
     fn points(wrong: impl Fn(usize, usize) -> f32) -> super::Surface {
+        points_from(|i| Vector3::new(0.02 * i as f64, 0.0, 0.0), wrong)
+    }
+
+    /// The same from cameras at places of their own.
+    fn points_from(
+        place: impl Fn(usize) -> Vector3<f64>,
+        wrong: impl Fn(usize, usize) -> f32,
+    ) -> super::Surface {
         let (w, h) = SIZE;
         let frame = |i: usize| CaptureFrame {
             name: format!("{i:03}"),
             camera: Camera {
                 intrinsics: Intrinsics::centred(w, h, 60.0),
                 c2w: Se3 {
-                    translation: Vector3::new(0.02 * i as f64, 0.0, 0.0),
+                    translation: place(i),
                     ..Se3::identity()
                 },
             },
             t: i as f64,
             rgb: Plane::filled(w, h, [100 + 10 * i as u8; 3]),
-            depth: Some(Plane::from_fn(w, h, |x, _| WALL * wrong(i, x)).into()),
+            depth: Some(
+                Plane::from_fn(w, h, |x, _| (WALL - place(i).z as f32) * wrong(i, x)).into(),
+            ),
             mask: None,
             motion: None,
             instances: None,
@@ -228,10 +244,10 @@ mod tests {
             surface.cloud.xyz.len()
         );
         let many = surface
-            .count
+            .weight
             .iter()
             .zip(&surface.cloud.xyz)
-            .filter(|(n, _)| **n >= 6.0);
+            .filter(|(w, _)| **w * f64::from(WALL).powi(2) >= 5.9);
         let errors: Vec<f32> = many.map(|(_, p)| (p[2] - WALL).abs() / WALL).collect();
         let mean = errors.iter().sum::<f32>() / errors.len() as f32;
         // each frame alone is 0.0064 off on average
@@ -244,6 +260,23 @@ mod tests {
             surface.cloud.rgb.iter().any(|c| c[0] == 130),
             "the mean colour of all frames"
         );
+    }
+
+    #[test]
+    fn a_frame_counts_by_the_square_of_its_nearness() {
+        // 6 frames at the distance WALL, and the last (colour 160) at half of it
+        let surface = points_from(
+            |i| Vector3::new(0.0, 0.0, if i == 6 { 0.5 * f64::from(WALL) } else { 0.0 }),
+            |_, _| 1.0,
+        );
+        let pixels = (SIZE.0 * SIZE.1) as f64;
+        let weight: f64 = surface.weight.iter().sum();
+        let all = pixels * 10.0 / f64::from(WALL).powi(2);
+        assert!((weight / all - 1.0).abs() < 1e-6, "{weight} for {all}");
+        let colours = surface.weight.iter().zip(&surface.cloud.rgb);
+        let mean = colours.map(|(w, c)| w * f64::from(c[0])).sum::<f64>() / weight;
+        let want = f64::from(100 + 110 + 120 + 130 + 140 + 150) / 10.0 + 0.4 * 160.0;
+        assert!((mean - want).abs() < 0.5, "{mean} for {want}");
     }
 
     #[test]

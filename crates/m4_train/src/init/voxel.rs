@@ -158,7 +158,7 @@ impl Grid {
     }
 
     /// The same of points that count `weight` each.
-    pub fn merge_weighted(&self, cloud: &Cloud, weight: &[f32]) -> Centroids {
+    pub fn merge_weighted(&self, cloud: &Cloud, weight: &[f64]) -> Centroids {
         let sum = |cell: &[((i16, u64), u32)]| {
             let mut sum = Sum {
                 key: cell[0].0,
@@ -167,7 +167,7 @@ impl Grid {
                 n: 0.0,
             };
             for i in cell.iter().map(|entry| entry.1 as usize) {
-                let n = f64::from(weight[i]);
+                let n = weight[i];
                 for k in 0..3 {
                     sum.xyz[k] += n * f64::from(cloud.xyz[i][k]);
                     sum.rgb[k] += n * f64::from(cloud.rgb[i][k]);

@@ -64,7 +64,7 @@ fn capture(frames: usize) -> Capture {
 
 fn fast() -> InitConfig {
     InitConfig {
-        max_static: 2000,
+        max_static: Some(2000),
         max_dynamic: 2000,
         change_threshold: 0.0,
         shell_splats: 0,
@@ -171,7 +171,7 @@ fn a_life_ends_where_frames_contradict_it() {
 #[test]
 fn the_faithful_profile_has_one_scale_and_fades_everything() {
     let config = InitConfig {
-        max_static: 1000,
+        max_static: Some(1000),
         max_dynamic: 500,
         ..InitConfig::faithful()
     };

@@ -91,7 +91,7 @@ fn true_tracks() -> Tracks {
 
 fn config(tracked: TrackedInit) -> InitConfig {
     InitConfig {
-        max_static: 4000,
+        max_static: Some(4000),
         max_dynamic: 100_000,
         change_threshold: 0.0,
         shell_splats: 0,

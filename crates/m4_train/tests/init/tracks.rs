@@ -70,7 +70,7 @@ fn tracks(z: f32) -> Result<Tracks, ShapeError> {
 
 fn config() -> InitConfig {
     InitConfig {
-        max_static: 2000,
+        max_static: Some(2000),
         max_dynamic: 2000,
         change_threshold: 0.0,
         shell_splats: 0,

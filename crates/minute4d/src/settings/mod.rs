@@ -24,7 +24,7 @@ use m4_geometry::megasam::MegasamSettings;
 use m4_io::capture::CaptureOptions;
 use m4_io::video::VideoOptions;
 use m4_train::TrainConfig;
-use m4_train::init::InitConfig;
+use m4_train::init::{InitConfig, LEAST_STATIC};
 use serde::{Deserialize, Serialize};
 
 /// The built-in settings that a run starts from. It also decides everything about the first splats
@@ -82,7 +82,7 @@ impl Preset {
             Self::Default => 60.0,
         };
         if self == Self::Draft {
-            init.max_static /= 3;
+            init.max_static = Some(init.max_static.unwrap_or(LEAST_STATIC) / 3);
             init.max_dynamic /= 3;
         }
     }
@@ -264,7 +264,7 @@ pub fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsError> {
 mod tests {
     use super::{Enhancement, Layers, Preset, Profile, Settings};
     use m4_train::TrainConfig;
-    use m4_train::init::InitConfig;
+    use m4_train::init::{InitConfig, LEAST_STATIC};
     use toml::{Table, Value};
 
     #[test]
@@ -343,7 +343,7 @@ mod tests {
             let (mut settings, mut want) = (fast.clone(), fast.clone());
             preset.apply(&mut settings);
             want.train.budget_s = budget_s;
-            want.init.max_static = fast.init.max_static / share;
+            want.init.max_static = (share > 1).then_some(LEAST_STATIC / share);
             want.init.max_dynamic = fast.init.max_dynamic / share;
             assert_eq!(settings, want, "{preset:?}");
             settings.check().unwrap();

@@ -201,7 +201,7 @@ impl DensitySettings {
 #[serde(deny_unknown_fields)]
 pub struct InitSettings {
     /// As [`InitConfig::max_static`].
-    pub max_static: usize,
+    pub max_static: Option<usize>,
     /// As [`InitConfig::max_dynamic`].
     pub max_dynamic: usize,
     /// As [`InitConfig::voxel_px`].
