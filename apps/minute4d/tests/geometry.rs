@@ -53,6 +53,7 @@ fn write_clip() -> (Scratch, Vec<Camera>) {
         motion: None,
         instances: None,
         camera_index: None,
+        distance_sigma: None,
     });
     let truth = Capture {
         frames: frames.collect(),

@@ -23,6 +23,7 @@ fn write_scene(dir: &Scratch, mip: bool) {
         camera,
         t: i as f64,
         exposure: Exposure::IDENTITY,
+        distance_sigma: None,
     };
     let scene = Scene {
         splats: fixture.splats,

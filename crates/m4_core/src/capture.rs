@@ -26,6 +26,9 @@ pub struct CaptureFrame {
     pub instances: Option<CompactIds>,
     /// Which held-out camera took it; `None` for training frames.
     pub camera_index: Option<u32>,
+    /// Relative standard deviation of the distance of its dynamic objects, above 0; `None` where it
+    /// has none, or nothing is known of it.
+    pub distance_sigma: Option<f32>,
 }
 
 /// A video with poses, depth and motion masks: the seam between geometry and training.
@@ -92,6 +95,8 @@ pub struct SourceFrame {
     pub t: f64,
     /// Colour correction of this frame.
     pub exposure: Exposure,
+    /// As in [`CaptureFrame::distance_sigma`].
+    pub distance_sigma: Option<f32>,
 }
 
 /// Splats and the cameras that saw them.

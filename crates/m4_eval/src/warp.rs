@@ -189,6 +189,7 @@ mod tests {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     }
 

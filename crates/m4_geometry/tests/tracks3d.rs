@@ -17,6 +17,7 @@ fn capture(scene: &BoxScene) -> Capture {
         motion: None,
         instances: None,
         camera_index: None,
+        distance_sigma: None,
     };
     let frames: Vec<CaptureFrame> = (0..scene.frames()).map(frame).collect();
     Capture {

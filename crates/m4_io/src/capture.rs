@@ -23,6 +23,7 @@
 //!           instance_path         optional: the object that a pixel shows, the same number in all frames, 0 = none; greyscale PNG of 8
 //!                                 or 16 bits, any size
 //!           camera                optional: index of a held-out camera
+//!           distance_sigma        optional: relative standard deviation of the distance of the frame's dynamic objects
 //! ```
 //!
 //! The reader is that of [`crate::dataset::nerfstudio`].
@@ -321,6 +322,7 @@ pub fn as_read(
             motion: frame.motion.map(FrameSource::held),
             instances: frame.instances.map(FrameSource::held),
             camera_index: frame.camera_index,
+            distance_sigma: frame.distance_sigma,
             ..ListedFrame::new(
                 image,
                 lens,
@@ -418,6 +420,7 @@ fn entry(
         instance_path: frame.instances.as_ref().map(|_| instances),
         time: Some(time),
         camera: frame.camera_index,
+        distance_sigma: frame.distance_sigma,
         lens: LensKeys::pinhole(k),
         transform_matrix: Some(rows(&frame.camera.c2w)),
     })

@@ -55,6 +55,7 @@ fn test_capture(frames: usize) -> Capture {
             }))
         }),
         camera_index: None,
+        distance_sigma: (i > 0).then_some(0.03 * i as f32),
     };
     Capture {
         frames: (0..frames).map(frame).collect(),
@@ -87,6 +88,7 @@ fn captures_round_trip() {
             (&got.motion, &got.instances),
             (&want.motion, &want.instances)
         );
+        assert_eq!(got.distance_sigma, want.distance_sigma);
         assert!((got.t - want.t).abs() < 1e-12);
         match (&got.depth, &want.depth) {
             (Some(got), Some(want)) => {
@@ -103,6 +105,22 @@ fn captures_round_trip() {
     write(dir.path(), &test_capture(3), Split::Train, &Silent).unwrap();
     let file = dir.path().join("transforms_train.json");
     assert_eq!(train(&file).unwrap().frames.len(), 3);
+}
+
+#[test]
+fn a_deviation_out_of_range_is_refused_with_its_place() {
+    let dir = tempfile::tempdir().unwrap();
+    write(dir.path(), &test_capture(3), Split::Train, &Silent).unwrap();
+    let list = dir.path().join("transforms_train.json");
+    let text = fs::read_to_string(&list).unwrap();
+    let changed = text.replace("\"distance_sigma\": 0.06", "\"distance_sigma\": -0.06");
+    assert_ne!(changed, text);
+    fs::write(&list, changed).unwrap();
+    let error = train(dir.path()).unwrap_err().to_string();
+    assert!(
+        error.contains("frame 2") && error.contains("distance_sigma is -0.0"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -141,6 +159,7 @@ fn a_capture_in_memory_is_the_one_that_is_read() {
             (&read.motion, &read.instances)
         );
         assert_eq!(held.camera_index, read.camera_index);
+        assert_eq!(held.distance_sigma, read.distance_sigma);
         assert_eq!(format!("{:?}", held.depth), format!("{:?}", read.depth));
     }
     let little = CaptureOptions {

@@ -78,6 +78,7 @@ fn asymmetric_scene(sh_degree: usize) -> Scene {
             },
             t: f64::from(i),
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         })
         .collect();
     Scene {

@@ -39,6 +39,7 @@ fn scene(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Scene {
             matrix: [[1.0, 0.1, 0.2], [0.3, 0.9, 1e-7], [-0.5, 0.0, 1.5]],
             offset: [0.01, -0.02, i as f32],
         },
+        distance_sigma: (i % 2 == 1).then_some(0.12 * i as f32),
     };
     Scene {
         splats: splats(layout, n_static, n_dynamic),
@@ -140,6 +141,7 @@ fn scene_arrays_match_documentation() {
     assert_eq!(shape("splats.colour"), [8, 3, 16, 3]);
     assert_eq!(shape("splats.velocity"), [3, 3]);
     assert_eq!(shape("source.c2w"), [4, 3, 4]);
+    assert_eq!(shape("source.distance_sigma"), [4]);
     let of_splats = [
         "colour",
         "log_scale",
@@ -150,7 +152,7 @@ fn scene_arrays_match_documentation() {
         "time_mean",
         "velocity",
     ];
-    let of_source = ["c2w", "exposure", "intrinsics", "t"];
+    let of_source = ["c2w", "distance_sigma", "exposure", "intrinsics", "t"];
     let mut names = file.names();
     names.sort_unstable();
     let expected = of_source
@@ -194,6 +196,10 @@ fn scene_arrays_match_documentation() {
     assert_eq!(
         (shape("bound.life"), shape("bound.trend")),
         (vec![20, 2], vec![20, 3])
+    );
+    assert!(
+        file.tensor("source.distance_sigma").is_err(),
+        "no frame has one"
     );
     let node = file.tensor("bound.node").unwrap();
     assert_eq!(node.dtype(), safetensors::Dtype::U16);
@@ -406,6 +412,21 @@ fn numbers_of_bindings_that_do_not_fit_are_refused_with_their_place() {
         changed(&path, "bound.life", f32_at(2, f32::NEG_INFINITY)),
         "read"
     );
+}
+
+#[test]
+fn deviations_out_of_range_are_refused() {
+    let (_dir, path) = temporary("scene.safetensors");
+    for sigma in [0.0, -0.1, f32::NAN, f32::INFINITY] {
+        let mut scene = scene(layouts().next().unwrap(), 2, 2);
+        scene.source[2].distance_sigma = Some(sigma);
+        let error = write(&path, &scene, None, &BTreeMap::new()).unwrap_err();
+        let text = error.to_string();
+        assert!(
+            text.contains("frame 2") && text.contains("distance_sigma"),
+            "{text}"
+        );
+    }
 }
 
 #[test]

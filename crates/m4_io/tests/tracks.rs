@@ -203,6 +203,7 @@ fn capture_with(tracks: Option<Tracks>) -> Capture {
         motion: None,
         instances: None,
         camera_index: None,
+        distance_sigma: None,
     };
     Capture {
         frames: (0..4).map(frame).collect(),

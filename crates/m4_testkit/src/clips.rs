@@ -20,6 +20,7 @@ pub fn clip(n: usize, rgb: impl Fn(usize) -> RgbImage) -> Capture {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     };
     Capture {

@@ -226,6 +226,7 @@ pub fn random_scene(spec: &SceneSpec) -> Scene {
         ),
         t: i as f64,
         exposure: Exposure::IDENTITY,
+        distance_sigma: None,
     };
     Scene {
         splats: random_splats(5, &random_camera(3, 64, 48), spec),

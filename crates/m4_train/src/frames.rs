@@ -147,6 +147,7 @@ mod tests {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         };
         let capture = Capture {
             frames: (0..3).map(frame).collect(),

@@ -30,6 +30,7 @@ fn wall() -> Capture {
         motion: None,
         instances: None,
         camera_index: None,
+        distance_sigma: None,
     };
     Capture {
         frames: (0..2).map(frame).collect(),

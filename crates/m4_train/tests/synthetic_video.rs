@@ -97,7 +97,11 @@ fn training_from_depth_exceeds_30_db() {
     let n = trainer.splats().n();
     assert!(n <= first + first / 2, "{n} splats from {first}");
     assert!(trainer.splats().is_finite());
-    assert_eq!(trainer.scene().source.len(), FRAMES);
+    let source = trainer.scene().source;
+    assert_eq!(source.len(), FRAMES);
+    for (source, frame) in source.iter().zip(&capture.frames) {
+        assert_eq!(source.distance_sigma, frame.distance_sigma);
+    }
 }
 
 /// PSNR over frames of `capture`, dB.

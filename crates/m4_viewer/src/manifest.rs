@@ -1,7 +1,7 @@
 //! The metadata of a scene that the page gets in addition to its splats.
 
 use crate::payload::Payload;
-use m4_core::{Camera, Scene};
+use m4_core::{Scene, SourceFrame};
 use serde::{Deserialize, Serialize};
 
 /// Version of the manifest; a page reads one.
@@ -104,14 +104,17 @@ pub struct SourceCamera {
     pub width: usize,
     /// Rows of its images.
     pub height: usize,
+    /// Relative standard deviation of the distance of the frame's dynamic objects, where known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub distance_sigma: Option<f32>,
 }
 
-impl SourceCamera {
-    fn new(camera: &Camera, t: f64) -> Self {
-        let k = &camera.intrinsics;
-        let m = camera.c2w.matrix();
+impl From<&SourceFrame> for SourceCamera {
+    fn from(frame: &SourceFrame) -> Self {
+        let k = &frame.camera.intrinsics;
+        let m = frame.camera.c2w.matrix();
         Self {
-            t,
+            t: frame.t,
             c2w: std::array::from_fn(|i| m[(i / 4, i % 4)]),
             fx: k.fx,
             fy: k.fy,
@@ -119,6 +122,7 @@ impl SourceCamera {
             cy: k.cy,
             width: k.width,
             height: k.height,
+            distance_sigma: frame.distance_sigma,
         }
     }
 }
@@ -184,11 +188,7 @@ impl Manifest {
             mip: scene.mip,
             near: scene.near,
             period_frames: (scene.time_frames.max(2) - 1) as f64,
-            cameras: scene
-                .source
-                .iter()
-                .map(|s| SourceCamera::new(&s.camera, s.t))
-                .collect(),
+            cameras: scene.source.iter().map(SourceCamera::from).collect(),
             centre,
             safe: SafeOrbit::new(scene, depth),
             frames: None,

@@ -195,6 +195,19 @@ fn the_safe_radius_is_between_shares_of_the_depth() {
     );
 }
 
+#[test]
+fn cameras_have_the_deviation_of_their_frame_where_there_is_one() {
+    let mut scene = scene(3, 0);
+    scene.source[1].distance_sigma = Some(0.12);
+    let payload = encode(&scene, 4.0);
+    let manifest = manifest_of(&scene, &payload);
+    let json = serde_json::to_string(&manifest).unwrap();
+    assert_eq!(json.matches("distance_sigma").count(), 1);
+    assert!(json.contains(r#""distance_sigma":0.12"#), "{json}");
+    let read: Manifest = serde_json::from_str(&json).unwrap();
+    assert_eq!(read, manifest);
+}
+
 const FRAMES: usize = 6;
 
 pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
@@ -218,6 +231,7 @@ pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
         camera,
         t: i as f64,
         exposure: Exposure::IDENTITY,
+        distance_sigma: None,
     });
     Scene {
         splats: random_splats(5, &camera, &spec),

@@ -49,6 +49,7 @@ fn scene() -> Scene {
                 camera: look(0.05 * i as f64 - 0.2),
                 t: i as f64,
                 exposure: Exposure::IDENTITY,
+                distance_sigma: None,
             })
             .collect(),
     }

@@ -38,6 +38,7 @@ fn scene(layout: SplatLayout) -> Scene {
             camera,
             t: 0.0,
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         }],
     }
 }

@@ -75,6 +75,7 @@ pub fn turning(layout: SplatLayout, n_static: usize, n_bound: usize, n_free: usi
         camera,
         t: i as f64,
         exposure: Exposure::IDENTITY,
+        distance_sigma: None,
     });
     Scene {
         splats,

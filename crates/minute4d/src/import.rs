@@ -61,6 +61,7 @@ pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
             camera,
             t: i as f64,
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         })
         .collect();
     // Nothing of the scene is nearer than a thousandth of the way to it.

@@ -59,6 +59,7 @@ fn capture(times: &[f64]) -> Capture {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     };
     Capture {
@@ -165,6 +166,7 @@ fn synthetic(layout: SplatLayout) -> Scene {
         camera: camera(i),
         t: i as f64,
         exposure: Exposure::IDENTITY,
+        distance_sigma: None,
     });
     Scene {
         splats: random_splats(11, &camera(FRAMES / 2), &spec),

@@ -123,6 +123,7 @@ mod tests {
             motion: None,
             instances: instances.then(|| CompactIds::from(&Plane::from_fn(100, 40, id))),
             camera_index: None,
+            distance_sigma: None,
         }
     }
 

@@ -194,6 +194,7 @@ mod tests {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     }
 

@@ -272,6 +272,7 @@ fn room(cameras: &[Camera]) -> Capture {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     };
     Capture {

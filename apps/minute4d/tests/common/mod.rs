@@ -286,6 +286,7 @@ fn frame(
         motion: None,
         instances: None,
         camera_index: held_out,
+        distance_sigma: None,
     }
 }
 

@@ -324,6 +324,7 @@ pub(super) mod tests {
                 motion: None,
                 instances: None,
                 camera_index: None,
+                distance_sigma: None,
             }
         };
         Capture {

@@ -78,6 +78,8 @@ pub struct ListedFrame {
     pub instances: Option<FrameSource<CompactIds>>,
     /// Which held-out camera took it; `None` for training frames.
     pub camera_index: Option<u32>,
+    /// Relative standard deviation of the distance of its dynamic objects, where known.
+    pub distance_sigma: Option<f32>,
 }
 
 impl ListedFrame {
@@ -101,6 +103,7 @@ impl ListedFrame {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     }
 }
@@ -355,6 +358,7 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, Fault> {
         motion,
         instances,
         camera_index: frame.camera_index,
+        distance_sigma: frame.distance_sigma,
     })
 }
 

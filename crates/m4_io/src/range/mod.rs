@@ -37,6 +37,8 @@ pub const FPS: Range = 1e-6..=1e6;
 pub const FRAMES: RangeInclusive<usize> = 0..=1_000_000;
 /// Moments of a clip, seconds: 31 years.
 pub const SECONDS: Range = -1e9..=1e9;
+/// Relative standard deviation of a distance.
+pub const DISTANCE_SIGMA: Range = 1e-9..=1e3;
 /// Near plane, scene units.
 pub const NEAR: Range = 0.0..=1e7;
 /// Colours of a background, and entries of a colour correction.
@@ -184,7 +186,7 @@ pub fn of_splats(splats: &Splats) -> Option<String> {
         .or_else(|| of_bindings(splats))
 }
 
-/// What is wrong with the time or the colour correction of a frame of a scene.
+/// What is wrong with the time, the deviation or the colour correction of a frame of a scene.
 #[must_use]
 pub fn of_source(frame: &SourceFrame) -> Option<String> {
     let frames = *FRAMES.end() as f64;
@@ -193,6 +195,11 @@ pub fn of_source(frame: &SourceFrame) -> Option<String> {
             "the time {}; frames up to {frames} were expected",
             short(frame.t)
         ));
+    }
+    let sigma = frame.distance_sigma.map(f64::from);
+    if let Some(what) = sigma.and_then(|s| of_number("the distance_sigma", s, &DISTANCE_SIGMA, ""))
+    {
+        return Some(what);
     }
     let exposure = &frame.exposure;
     let mut numbers = exposure

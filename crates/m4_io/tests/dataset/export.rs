@@ -25,6 +25,7 @@ fn capture_of(n: usize) -> (BoxScene, Capture) {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     });
     let tracks = Tracks::new(n, 2, vec![[0.5, 0.25, 3.0]; 2 * n], vec![true; 2 * n]).unwrap();

@@ -184,6 +184,7 @@ mod tests {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         };
         let capture = Capture {
             frames: vec![frame],

@@ -218,6 +218,7 @@ mod tests {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         };
         let frames: Vec<CaptureFrame> = (0..7).map(frame).collect();
         let capture = Capture {

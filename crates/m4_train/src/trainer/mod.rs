@@ -65,6 +65,8 @@ pub struct Trainer<'a> {
     pending: HashSet<usize>,
     /// Frames, one per frame of the capture.
     times: Vec<f64>,
+    /// As the capture has them, one per frame.
+    distance_sigmas: Vec<Option<f32>>,
     time_frames: usize,
     duration_s: Option<f64>,
     scale: SceneScale,
@@ -194,6 +196,7 @@ impl<'a> Trainer<'a> {
             last: StepReport::NONE,
             pending: HashSet::new(),
             times: capture.frames.iter().map(|f| f.t).collect(),
+            distance_sigmas: capture.frames.iter().map(|f| f.distance_sigma).collect(),
             time_frames: capture.time_frames,
             duration_s: capture.duration_s,
             scale: SceneScale::of(capture),

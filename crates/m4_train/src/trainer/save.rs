@@ -37,6 +37,7 @@ impl Trainer<'_> {
             camera: self.fit.camera(i),
             t,
             exposure: self.fit.frames[i].exposure,
+            distance_sigma: self.distance_sigmas[i],
         });
         Scene {
             splats,

@@ -69,6 +69,7 @@ pub fn filmed(splats: &Splats, cameras: &[Camera]) -> Capture {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: (i > 0).then_some(0.01 * i as f32),
         }
     });
     let frames = frames.collect();

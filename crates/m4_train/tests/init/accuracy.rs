@@ -20,6 +20,7 @@ fn capture(scene: &BoxScene) -> Capture {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     };
     let duration_s = Some((FRAMES - 1) as f64 / 24.0);

@@ -51,6 +51,7 @@ fn capture(frames: usize) -> Capture {
             motion: None,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         }
     };
     Capture {

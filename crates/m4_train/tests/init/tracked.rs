@@ -58,6 +58,7 @@ fn capture(tracks: Option<Tracks>) -> Capture {
         motion: None,
         instances: None,
         camera_index: None,
+        distance_sigma: None,
     };
     Capture {
         frames: (0..FRAMES).map(frame).collect(),

@@ -22,6 +22,7 @@ fn scene(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Scene {
         camera,
         t: i as f64,
         exposure: Exposure::IDENTITY,
+        distance_sigma: None,
     });
     Scene {
         splats: random_splats(5, &camera, &spec),

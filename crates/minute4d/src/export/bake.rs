@@ -238,6 +238,7 @@ mod tests {
             },
             t,
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         };
         Scene {
             mip: true,

@@ -17,7 +17,7 @@ use m4_core::{
     Video, evenly,
 };
 use m4_geometry::FrameRate;
-use m4_geometry::classical::dense::DynamicObject;
+use m4_geometry::classical::dense::{DynamicObject, distance_sigma};
 use m4_geometry::classical::sparse::SparseConfig;
 use m4_geometry::inspect::Footage;
 use m4_io::video::VideoOptions;
@@ -172,6 +172,7 @@ impl Clip {
             motion: geometry.motion,
             instances: None,
             camera_index: None,
+            distance_sigma: None,
         });
         Capture {
             frames: frames.collect(),
@@ -314,6 +315,14 @@ impl Between {
     }
 }
 
+/// Gives each frame of `capture` the deviation of its `objects`.
+pub(super) fn with_sigmas(mut capture: Capture, objects: &[DynamicObject]) -> Capture {
+    for (i, frame) in capture.frames.iter_mut().enumerate() {
+        frame.distance_sigma = distance_sigma(objects, i);
+    }
+    capture
+}
+
 /// Frames to read so that every step between two of `n_kept` frames has up to [`MOST_PER_STEP`]
 /// parts.
 fn to_read(n_kept: usize) -> usize {
@@ -327,7 +336,7 @@ fn to_read(n_kept: usize) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::{Between, MOST_FRAMES, MOST_TRACKED, MOST_WITH_DEPTH, to_read};
+    use super::{Between, MOST_FRAMES, MOST_TRACKED, MOST_WITH_DEPTH, to_read, with_sigmas};
     use crate::Silent;
     use m4_core::evenly;
     use m4_core::{Capture, Plane, Tracks, Video, VideoFrame};
@@ -374,11 +383,17 @@ mod tests {
             cue: DistanceCue::Contact,
             sigma_percent: 6.0,
         };
-        let mut objects = vec![object(0, 9), object(3, 6), object(5, 3)];
+        let mut objects = vec![object(2, 7), object(3, 6), object(5, 3)];
+        objects[0].sigma_percent = 8.0;
         let thin = between(3, 9)
             .keep(capture.clone(), &mut objects, &Silent)
             .unwrap();
-        assert_eq!(objects, [object(0, 3), object(1, 2)]);
+        let spans: Vec<_> = objects.iter().map(|o| (o.first_frame, o.frames)).collect();
+        assert_eq!(spans, [(1, 2), (1, 2)]);
+        let thin = with_sigmas(thin, &objects);
+        let sigmas: Vec<Option<f32>> = thin.frames.iter().map(|f| f.distance_sigma).collect();
+        let both = 0.005f64.sqrt() as f32;
+        assert_eq!(sigmas, [None, Some(both), Some(both)]);
         let times: Vec<f64> = thin.frames.iter().map(|f| f.t).collect();
         assert_eq!((times, thin.time_frames), (vec![0.0, 4.0, 8.0], 9));
         let tracks = thin.tracks.unwrap();

@@ -206,6 +206,7 @@ pub fn compute(input: &Path, plan: &Plan, steps: Steps<'_>) -> Result<Reconstruc
         _ => classical::compute(clip, &context)?,
     };
     let capture = between.keep(capture, &mut summary.objects, observer)?;
+    let capture = clip::with_sigmas(capture, &summary.objects);
     summary.frames = capture.frames.len();
     summary.footage = footage;
     let enhance = &plan.enhance;

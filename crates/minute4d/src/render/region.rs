@@ -140,6 +140,7 @@ mod tests {
             },
             t: 10.0,
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         };
         assert_eq!(moving_depth(&scene, &stop), Some(4.0));
         let later = SourceFrame { t: 30.0, ..stop };

@@ -168,6 +168,7 @@ pub fn clip() -> Capture {
             u16::from(x > 5)
         }))),
         camera_index: None,
+        distance_sigma: None,
     };
     let xyz = (0..6).map(|i| [i as f32 * 0.2, 0.1, 2.0]).collect();
     let tracks =

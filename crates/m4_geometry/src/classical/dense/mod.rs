@@ -54,7 +54,7 @@ mod working;
 pub use estimate::{Dense, DenseFrame, Estimate, estimate};
 pub use mono::{MonoDepth, MonoKind};
 pub(crate) use regions::{Components, to_outside};
-pub use rigid_objects::{DistanceCue, DynamicObject};
+pub use rigid_objects::{DistanceCue, DynamicObject, distance_sigma};
 pub(crate) use segment::{
     LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, asked, belief, box_of, points_apart, prompt,
 };

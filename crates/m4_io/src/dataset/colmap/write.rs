@@ -84,6 +84,7 @@ fn check(out: &Path, capture: &Capture) -> Result<(), WriteError> {
             camera,
             t: frame.t,
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         };
         if !usable(&source_frame) {
             return bad(format!("its camera is none: {camera:?}"));

@@ -332,6 +332,16 @@ impl List {
             let what = format!("time = {time}; 0 (first training frame) to 1 (last) was expected");
             return Err(Fault::bad(what, "divide the times by the last"));
         }
+        if let Some(sigma) = entry.distance_sigma {
+            let hint = "correct it, or leave it out";
+            range::check(
+                "distance_sigma",
+                sigma.into(),
+                &range::DISTANCE_SIGMA,
+                "",
+                hint,
+            )?;
+        }
         let rows = entry.transform_matrix.as_ref();
         let rows =
             rows.ok_or_else(|| Fault::missing("transform_matrix", "write the file again"))?;
@@ -370,6 +380,7 @@ impl List {
             instances: beside(&entry.instance_path)?
                 .map(|file| FrameSource::new(move || Ok(image::read_ids(&file)?))),
             camera_index: held_out.then_some(entry.camera).flatten(),
+            distance_sigma: entry.distance_sigma,
             ..ListedFrame::new(entry.file_path.clone(), lens, c2w, t, image.rgb)
         })
     }

@@ -189,6 +189,8 @@ pub(crate) struct Frame {
     pub time: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distance_sigma: Option<f32>,
     #[serde(flatten)]
     pub lens: LensKeys,
     pub transform_matrix: Option<Vec<Vec<f64>>>,

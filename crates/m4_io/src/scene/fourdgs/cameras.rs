@@ -179,6 +179,7 @@ pub(super) fn source(
         camera: Camera { intrinsics, c2w },
         t,
         exposure: Exposure::IDENTITY,
+        distance_sigma: None,
     };
     let source: Vec<SourceFrame> = match sensor.pose_reference {
         POSE_TO_SCENE => (0..clip.frames).map(|t| frame(on_rig, t as f64)).collect(),

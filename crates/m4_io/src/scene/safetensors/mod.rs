@@ -15,6 +15,7 @@
 //! source.c2w          f64 [frames, 3, 4]    OpenCV axes
 //! source.t            f64 [frames]          frames
 //! source.exposure     f32 [frames, 3, 4]    matrix, offset
+//! source.distance_sigma f32 [frames]      of dynamic objects, relative, 0 for none; may be absent
 //! state.NAME          any                   what training handed over, as it was
 //! ```
 //!

@@ -324,6 +324,9 @@ pub fn arrays_to_splats(
         .map_err(|e| Fault::damaged(format!("its splats are {e}")))
 }
 
+/// Deviations of distances, 0 where there is none; the array is absent where no frame has one.
+const SIGMA: &str = "source.distance_sigma";
+
 /// The arrays of the training cameras.
 pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Sources<'_>) {
     let n = source.len();
@@ -378,6 +381,15 @@ pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Sources<'_>) {
             data,
         }),
     );
+    if source.iter().any(|f| f.distance_sigma.is_some()) {
+        let sigma = |f: &SourceFrame| f.distance_sigma.unwrap_or(0.0);
+        let data = source.iter().map(sigma).collect();
+        let shape = vec![n];
+        arrays.insert(
+            SIGMA.into(),
+            Source::Array(StateTensor::F32 { shape, data }),
+        );
+    }
 }
 
 /// The training cameras of arrays.
@@ -393,6 +405,10 @@ pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
     let exposure = f32_array(arrays, "source.exposure", &[n, 3, 4])?
         .as_chunks::<12>()
         .0;
+    let sigma = match arrays.contains_key(SIGMA) {
+        true => f32_array(arrays, SIGMA, &[n])?,
+        false => &[],
+    };
     let frame = |i: usize| {
         let [width, height, fx, fy, cx, cy] = lens[i];
         let (p, e) = (&pose[i], &exposure[i]);
@@ -417,6 +433,7 @@ pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
                 matrix: std::array::from_fn(|r| std::array::from_fn(|c| e[4 * r + c])),
                 offset: std::array::from_fn(|r| e[4 * r + 3]),
             },
+            distance_sigma: sigma.get(i).copied().filter(|&s| s != 0.0),
         }
     };
     Ok((0..n).map(frame).collect())

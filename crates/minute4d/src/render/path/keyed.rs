@@ -84,6 +84,7 @@ impl KeyedPath {
             },
             t: straight(&self.clock, time).clamp(0.0, self.last_frame),
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         }
     }
 }

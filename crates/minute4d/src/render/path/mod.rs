@@ -213,6 +213,7 @@ impl Maker<'_> {
             camera: swing_camera(&region, i as f64 / n as f64, self.options),
             t: region.stop.t,
             exposure: Exposure::IDENTITY,
+            distance_sigma: None,
         });
         Ok(stops.collect())
     }
@@ -256,6 +257,7 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
                 camera,
                 t,
                 exposure: Exposure::IDENTITY,
+                distance_sigma: None,
             });
             Ok(Plan {
                 stops: stops.collect(),

@@ -90,6 +90,7 @@ impl SourcePath {
             },
             t,
             exposure: between_exposures(&a.exposure, &b.exposure, u),
+            distance_sigma: None,
         }
     }
 }

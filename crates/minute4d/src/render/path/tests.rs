@@ -37,6 +37,7 @@ fn scene(tremble: f64) -> Scene {
                 offset: [k as f32; 3],
                 ..Exposure::IDENTITY
             },
+            distance_sigma: None,
         }
     });
     Scene {

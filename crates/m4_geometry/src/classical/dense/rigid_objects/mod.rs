@@ -82,6 +82,27 @@ pub struct DynamicObject {
     pub sigma_percent: f64,
 }
 
+/// Objects smaller than this share of the image do not count for a frame.
+const COUNTED_SHARE: f64 = 0.001;
+/// Least deviation of a frame: on exact data an estimate may be 0, which says that there is none.
+const LEAST_SIGMA: f64 = 1e-6;
+
+/// Returns the relative standard deviation of the distance of the objects in `frame`, counted as
+/// [`DynamicObject::first_frame`]: the root mean square over them, weighted by their shares of the
+/// image. `None` where there is none of at least 0.1 % of the image.
+#[must_use]
+pub fn distance_sigma(objects: &[DynamicObject], frame: usize) -> Option<f32> {
+    let [mut sum, mut weight] = [0.0f64; 2];
+    for object in objects {
+        let lasts = object.first_frame..object.first_frame + object.frames;
+        if lasts.contains(&frame) && object.share >= COUNTED_SHARE {
+            sum += object.share * (object.sigma_percent / 100.0).powi(2);
+            weight += object.share;
+        }
+    }
+    (weight > 0.0).then(|| (sum / weight).sqrt().max(LEAST_SIGMA) as f32)
+}
+
 /// Standard deviation of the logarithm of the distance by a fall, and of an assumed one.
 const BALLISTIC_SIGMA: f64 = 0.12;
 const ASSUMED_SIGMA: f64 = 0.5;
@@ -261,7 +282,7 @@ fn spread(
 mod tests {
     //! Rigid objects on synthetic clips: exact flow, a wrong guess of their distance.
 
-    use super::{Smoother, place};
+    use super::{DistanceCue, DynamicObject, Smoother, distance_sigma, place};
     use crate::classical::dense::working::ClipData;
     use crate::flow::FlowPair;
     use m4_core::{
@@ -296,6 +317,33 @@ mod tests {
         radius: f64,
         middle: fn(usize) -> Vector3<f64>,
         turn_rad: f64,
+    }
+
+    #[test]
+    fn the_deviation_of_a_frame_is_that_of_its_objects_by_their_shares() {
+        let object = |first_frame: usize, share: f64, sigma_percent: f64| DynamicObject {
+            first_frame,
+            frames: 2,
+            share,
+            cue: DistanceCue::Contact,
+            sigma_percent,
+        };
+        let objects = [
+            object(1, 0.03, 6.0),
+            object(2, 0.01, 50.0),
+            object(5, 0.0009, 50.0),
+            object(8, 0.1, 0.0),
+        ];
+        // sqrt((3 * 0.06^2 + 0.5^2) / 4)
+        let both = 0.255_342_9;
+        let mut expected = vec![None, Some(0.06), Some(both), Some(0.5)];
+        expected.extend([None, None, None, None, Some(1e-6), Some(1e-6), None]);
+        for (frame, expected) in expected.into_iter().enumerate() {
+            let sigma = distance_sigma(&objects, frame);
+            assert_eq!(sigma.is_some(), expected.is_some(), "{frame}");
+            let off = sigma.unwrap_or(0.0) - expected.unwrap_or(0.0);
+            assert!(off.abs() < 1e-6, "{frame}: {sigma:?}");
+        }
     }
 
     /// Ground 1 below the first camera, up to a wall at depth 6.

@@ -35,6 +35,7 @@ fn frame(back: impl Fn(f64, f64) -> [f64; 2], contrast: f64, light: f64) -> Capt
         motion: None,
         instances: None,
         camera_index: None,
+        distance_sigma: None,
     }
 }
 
