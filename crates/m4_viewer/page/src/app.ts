@@ -1,6 +1,7 @@
 /** The viewer: time, camera and image together, and what can be done with them. */
 
 import type { Lens } from "./camera/path";
+import { DistanceLimit } from "./camera/limit";
 import { SourcePath } from "./camera/path";
 import { CameraRig, type Mode } from "./camera/rig";
 import { SafeRegion } from "./camera/safe";
@@ -182,6 +183,20 @@ export class App {
     this.moved();
   }
 
+  /** Why the camera is limited by moving parts, where it matters now. */
+  get caution(): string | null {
+    return this.fixed ? null : this.rig.caution(this.clock.time);
+  }
+
+  /** Lifts that limit for as long as the page is open; false where there is none. */
+  turnFurther(): boolean {
+    const { safe } = this.rig;
+    if (!safe.limit || safe.lifted) return false;
+    safe.lifted = true;
+    this.moved();
+    return true;
+  }
+
   /** To the beginning, on the source camera. */
   reset(): void {
     this.fixed = null;
@@ -289,7 +304,7 @@ export class App {
     const { pose, riding } = this;
     const view = { t, pose, placement, riding };
     if (this.fixed) return { ...view, lens: { ...this.fixed.lens, width, height }, magnification: 1, fade: 0, frame: null };
-    const fade = this.rig.mode === "ride" ? 0 : this.rig.safe.fade(pose.position);
+    const fade = this.rig.mode === "ride" ? 0 : this.rig.safe.fade(pose.position, t);
     const magnification = fitted.lens.fx / source.fx;
     return { ...view, lens: fitted.lens, magnification, fade, frame: fitted.placement };
   }
@@ -313,6 +328,7 @@ function clockOf(manifest: Manifest): Clock {
 
 function rigOf(manifest: Manifest, lively: boolean): CameraRig {
   const path = new SourcePath(manifest.cameras);
-  const safe = new SafeRegion(path, manifest.safe.radius, manifest.centre);
+  const limit = DistanceLimit.of(path, manifest.cameras, manifest.centre, manifest.fps);
+  const safe = new SafeRegion(path, manifest.safe.radius, manifest.centre, limit);
   return new CameraRig(path, safe, manifest.centre, lively);
 }

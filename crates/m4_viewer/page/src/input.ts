@@ -41,7 +41,7 @@ export function startPointer(canvas: HTMLCanvasElement, app: App, taps: Taps): v
   const perPixel = (): number => {
     const lens = app.view?.lens;
     if (app.rig.mode === "fly" && lens) return lens.width / canvas.clientWidth / lens.fx;
-    return clamp(TURN_ROOMS * app.rig.turnRoom, TURN_LEAST, TURN_MOST) / shorter();
+    return clamp(TURN_ROOMS * app.rig.turnRoom(app.clock.time), TURN_LEAST, TURN_MOST) / shorter();
   };
   /** Pixels of the window a focal length. */
   const focal = (): number => {

@@ -66,7 +66,7 @@ async function fill(app: App, place: Place | null): Promise<boolean> {
 /** What is said over the image. */
 function wordsFor(app: App): string | null {
   if (app.manifest.live && app.stage.active === 0) return "Waiting for the first splats";
-  return (app.view?.fade ?? 0) > FADE_TOLD ? OUTSIDE : null;
+  return app.caution ?? ((app.view?.fade ?? 0) > FADE_TOLD ? OUTSIDE : null);
 }
 
 async function start(): Promise<App> {
@@ -112,7 +112,10 @@ async function start(): Promise<App> {
   startTips(root);
   void offerHeadset(app);
   new ResizeObserver(app.invalidate).observe(stage.canvas);
-  app.onChange(() => hint(wordsFor(app)));
+  app.onChange(() => {
+    const words = wordsFor(app);
+    hint(words, words !== null && words === app.caution);
+  });
 
   control(HTMLElement, "side").hidden = true;
   addFrames(app, manifest).catch((error: unknown) => toast(toPageError(error).title));

@@ -75,6 +75,7 @@ const positive = (v: number): boolean => v > 0;
 
 function camera(value: unknown, index: number): SourceCamera {
   const f = Fields.of(value, `cameras[${index}]`);
+  const sigma = f.get("distance_sigma") ?? undefined;
   return {
     t: f.number("t"),
     c2w: f.numbers("c2w", 16),
@@ -84,6 +85,7 @@ function camera(value: unknown, index: number): SourceCamera {
     cy: f.number("cy"),
     width: f.number("width", positive),
     height: f.number("height", positive),
+    ...(sigma === undefined ? {} : { distance_sigma: f.number("distance_sigma", positive) }),
   };
 }
 

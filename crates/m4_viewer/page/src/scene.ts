@@ -17,6 +17,8 @@ export interface SourceCamera {
   cy: number;
   width: number;
   height: number;
+  /** Relative standard deviation of the distance of the frame's dynamic objects, where known. */
+  distance_sigma?: number;
 }
 
 /** The frames of the source clip as JPEGs, one a source camera, in one run of bytes. */

@@ -97,19 +97,19 @@ describe("the safe region", () => {
   const safe = new SafeRegion(path, 1, CENTRE);
 
   test("fades from the radius to the stop", () => {
-    expect(safe.fade([0, 0.9, 0])).toBe(0);
-    expect(safe.fade([0, 1.3, 0])).toBeGreaterThan(0.1);
-    expect(safe.fade([0, safe.stop, 0])).toBeCloseTo(0.8);
+    expect(safe.fade([0, 0.9, 0], 0)).toBe(0);
+    expect(safe.fade([0, 1.3, 0], 0)).toBeGreaterThan(0.1);
+    expect(safe.fade([0, safe.stopAt(0), 0], 0)).toBeCloseTo(0.8);
   });
 
   test("holds a place at its edge", () => {
-    expect(safe.hold([0, 9, 0])[1]).toBeCloseTo(safe.stop);
-    expect(safe.hold([0, 0.5, 0])).toEqual([0, 0.5, 0]);
+    expect(safe.hold([0, 1, 0], [0, 9, 0], 0)[1]).toBeCloseTo(safe.stopAt(0));
+    expect(safe.hold([0, 1, 0], [0, 0.5, 0], 0)).toEqual([0, 0.5, 0]);
   });
 
   test("lets back in who is outside", () => {
-    expect(safe.allows([0, 9, 0], [0, 8, 0])).toBe(true);
-    expect(safe.allows([0, 1, 0], [0, 8, 0])).toBe(false);
+    expect(safe.allows([0, 9, 0], [0, 8, 0], 0)).toBe(true);
+    expect(safe.allows([0, 1, 0], [0, 8, 0], 0)).toBe(false);
   });
 
   test("a radius of nothing still lets a camera move a little", () => {
@@ -129,7 +129,7 @@ describe("bullet time", () => {
       let widest = 0;
       for (let s = 0; s < 14; s += 0.05) {
         const pose = swung(base, pivot, UP, angle, s);
-        expect(safe.fade(pose.position)).toBe(0);
+        expect(safe.fade(pose.position, 10)).toBe(0);
         expect(miss(pose, pivot)).toBeLessThan(1e-6);
         widest = Math.max(widest, distance(pose.position, base.position));
       }
@@ -201,7 +201,7 @@ describe("the rig", () => {
 
   test("nothing takes the camera past the stop", () => {
     const r = rig();
-    const stop = r.safe.stop + 1e-6;
+    const stop = r.safe.stopAt(0) + 1e-6;
     const far = (): number => path.nearest(r.at(0).position).distance;
     r.turn(3, 0.5, 0);
     expect(far()).toBeLessThan(stop);
@@ -218,11 +218,11 @@ describe("the rig", () => {
   test("the room to turn is known before", () => {
     const r = rig();
     r.free("orbit", 0);
-    const room = r.turnRoom;
+    const room = r.turnRoom(0);
     r.turn(-0.98 * room, 0, 0);
     const inside = path.nearest(r.at(0).position).distance;
-    expect(inside).toBeLessThan(r.safe.stop);
-    expect(inside).toBeGreaterThan(0.9 * r.safe.stop);
+    expect(inside).toBeLessThan(r.safe.stopAt(0));
+    expect(inside).toBeGreaterThan(0.9 * r.safe.stopAt(0));
   });
 
   test("at the edge it can still turn back", () => {

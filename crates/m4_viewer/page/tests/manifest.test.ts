@@ -24,6 +24,13 @@ test("a manifest is read as it is", () => {
   expect(readManifest(structuredClone(good))).toEqual(good);
 });
 
+test("deviations of distances belong to frames", () => {
+  const [first] = good.cameras;
+  const cameras = [first, { ...first, distance_sigma: 0.12 }, { ...first, distance_sigma: null }];
+  const read = readManifest({ ...good, cameras, frames: null }).cameras;
+  expect(read).toEqual([first, { ...first, distance_sigma: 0.12 }, first]);
+});
+
 test("what may be missing", () => {
   const { frames: _f, live: _l, duration_s: _d, ...rest } = good;
   expect(readManifest(rest)).toMatchObject({ frames: null, live: null, duration_s: null });
@@ -40,6 +47,8 @@ test.each([
   [{ fps: "30" }, "fps"],
   [{ cameras: [{ ...good.cameras[0], c2w: [1, 2] }] }, "cameras[0].c2w"],
   [{ cameras: [{ ...good.cameras[0], fx: 0 }] }, "cameras[0].fx"],
+  [{ cameras: [{ ...good.cameras[0], distance_sigma: 0 }] }, "cameras[0].distance_sigma"],
+  [{ cameras: [{ ...good.cameras[0], distance_sigma: "0.1" }] }, "cameras[0].distance_sigma"],
   [{ cameras: {} }, "cameras"],
   [{ frames: { width: 4, height: 3, offsets: [0] } }, "frames.offsets"],
   [{ frames: { width: 4, height: 3, offsets: [9, 0] } }, "frames.offsets"],

@@ -98,6 +98,13 @@ export class SourcePath {
     };
   }
 
+  /** A number at a time, of one for each camera. */
+  between(t: number, values: readonly number[]): number {
+    const { index, share } = this.place(t);
+    const here = values[index] ?? 0;
+    return share > 0 ? here + ((values[index + 1] ?? here) - here) * share : here;
+  }
+
   /** The camera that is nearest in time. */
   nearestIndex(t: number): number {
     const { index, share } = this.place(t);

@@ -12,7 +12,7 @@ const SIDE_MOST = 0.45;
 /** Up and down, as a share of the sideways turn; twice as fast. */
 const UP_SHARE = 0.22;
 /** Share of the safe radius that the swing uses. */
-const REACH = 0.85;
+export const REACH = 0.85;
 
 /** The widest sideways turn that stays in the safe region, radians. */
 export function swingAngle(pose: Pose, pivot: Vec3, safeRadius: number): number {

@@ -131,7 +131,8 @@ class Worn {
       pose,
       lens,
       magnification: 1,
-      fade: rig.safe.fade(pose.position),
+      // heads cannot be drawn back, and there is nothing to lift the limit of moving parts with
+      fade: rig.safe.fade(pose.position, null),
       frame: null,
       placement: { x: 0, y: 0, width: lens.width, height: lens.height },
       riding: false,

@@ -34,6 +34,7 @@ export class Dock {
     on("loop", () => app.cycleRepeat());
     on("side", () => app.toggleCompare());
     on("reset", () => app.reset());
+    on("further", () => this.further());
     on("link", () => void actions.copyLink());
     on("screenshot", () => void actions.savePicture());
     on("theme", () => actions.toggleTheme());
@@ -83,6 +84,10 @@ export class Dock {
     this.actions.say(`Speed ${speedText(this.app.clock.speed)}`);
   }
 
+  private further(): void {
+    if (this.app.turnFurther()) this.actions.say("Moving parts no longer limit the view");
+  }
+
   private key(event: KeyboardEvent): void {
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
     const target = event.target instanceof Element ? event.target : null;
@@ -115,6 +120,7 @@ export class Dock {
       KeyL: () => actions.say(REPEAT_WORDS[app.cycleRepeat()]),
       KeyV: () => app.toggleCompare(),
       KeyR: () => app.reset(),
+      KeyU: () => this.further(),
       KeyK: () => void actions.copyLink(),
       KeyP: () => void actions.savePicture(),
       KeyT: () => actions.toggleTheme(),

@@ -26,6 +26,7 @@ const CAMERA: readonly Line[] = [
   ["Fly down, up", "Q", "E"],
   ["Fly faster", "Shift"],
   ["Reset the view", "R"],
+  ["Turn further than moving parts allow", "U"],
 ];
 const PAGE: readonly Line[] = [
   ["Compare with the input", "V"],

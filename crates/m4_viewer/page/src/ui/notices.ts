@@ -1,6 +1,6 @@
 /** Short messages over the image. */
 
-import { find, setText } from "./dom";
+import { control, find, setText } from "./dom";
 
 const TOAST_MS = 2600;
 let toastTimer = 0;
@@ -16,9 +16,12 @@ export function toast(text: string): void {
   }, TOAST_MS);
 }
 
-/** Says something for as long as it is so; `null` when it is not any more. */
-export function hint(text: string | null): void {
+/** Says something for as long as it is so, `null` when it is not any more; with or without the offer to turn further. */
+export function hint(text: string | null, further: boolean): void {
   const element = find(HTMLElement, "#hint");
-  if (text !== null) setText(element, text);
+  if (text !== null) {
+    setText(find(HTMLElement, "span", element), text);
+    control(HTMLElement, "further").hidden = !further;
+  }
   if (element.hidden !== (text === null)) element.hidden = text === null;
 }
