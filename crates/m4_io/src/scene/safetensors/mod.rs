@@ -15,7 +15,7 @@
 //! source.c2w          f64 [frames, 3, 4]    OpenCV axes
 //! source.t            f64 [frames]          frames
 //! source.exposure     f32 [frames, 3, 4]    matrix, offset
-//! source.distance_sigma f32 [frames]      of dynamic objects, relative, 0 for none; may be absent
+//! source.distance_sigma f32 [frames]        of dynamic objects, relative, 0 for none; may be absent
 //! state.NAME          any                   what training handed over, as it was
 //! ```
 //!
@@ -40,6 +40,7 @@
 //! of it, which is compared on every read.
 
 mod bound;
+mod cameras;
 mod read;
 mod tensor;
 
@@ -49,14 +50,14 @@ use super::VerifiedFile;
 use super::valid::fault;
 use crate::WriteError;
 use bound::{bound_to_arrays, is_bound};
+use cameras::source_to_arrays;
 use m4_core::{Scene, TrainState};
 use safetensors::tensor::{Metadata, TensorInfo};
 use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;
 use tensor::{
-    Facts, Header, KEY, Source, Sources, UNBOUND_VERSION, VERSION, checksum, source_to_arrays,
-    splats_to_arrays,
+    Facts, Header, KEY, Source, Sources, UNBOUND_VERSION, VERSION, checksum, splats_to_arrays,
 };
 
 /// Writes a scene, the state of its training where there is one, and pairs of the caller's own.

@@ -1,9 +1,9 @@
 //! Reads a scene file.
 
 use super::bound::arrays_to_bound;
+use super::cameras::arrays_to_source;
 use super::tensor::{
-    self, Arrays, Header, KEY, Source, VERSION, Version, arrays_to_source, arrays_to_splats,
-    checksum,
+    self, Arrays, Header, KEY, Source, VERSION, Version, arrays_to_splats, checksum,
 };
 use crate::error::AtPath;
 use crate::scene::valid::fault;
