@@ -70,6 +70,8 @@ describe("orbiting", () => {
     expect(pivotOf(pose, [1, 1, 5])).toEqual([0, 0, 5]);
     const behind = pivotOf(pose, [0, 0, -4]);
     expect(behind[2]).toBeGreaterThan(0);
+    expect(pivotOf(pose, [0, 0, 50], 7), "but on a long walk no farther than things are").toEqual([0, 0, 7]);
+    expect(pivotOf(pose, [0, 0, 0], 0)[2]).toBeGreaterThan(0);
   });
 
   test("keeps distance and aim, and its directions", () => {

@@ -5,12 +5,13 @@ import { type Pose, type Vec3, add, axis, axisAngle, clamp, distance, dot, quatM
 /** The camera never looks closer to straight up or down than this, radians. */
 const POLE = 0.09;
 
-/** What the camera turns about: straight ahead, as far away as the middle of the scene. */
-export function pivotOf(pose: Pose, centre: Vec3): Vec3 {
+/** What the camera turns about: straight ahead, as far away as the middle of the scene, at most `most`: on a long walk that
+ * middle is in another room. */
+export function pivotOf(pose: Pose, centre: Vec3, most = Infinity): Vec3 {
   const ahead = axis(pose, 2);
   const depth = dot(sub(centre, pose.position), ahead);
   const far = distance(centre, pose.position);
-  return add(pose.position, scale(ahead, Math.max(depth, 0.25 * far, 1e-3)));
+  return add(pose.position, scale(ahead, Math.max(Math.min(Math.max(depth, 0.25 * far), most), 1e-3)));
 }
 
 /** A pitch that keeps the camera off the poles. */

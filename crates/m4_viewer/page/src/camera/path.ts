@@ -56,6 +56,11 @@ export class SourcePath {
     this.up = unit(scale(down, -1), [0, -1, 0]);
   }
 
+  /** How far the middle of the scene is from the camera that looks at it, the middle one. */
+  depth(centre: Vec3): number {
+    return distance(this.stop(this.stops.length >> 1).pose.position, centre);
+  }
+
   /** The last stop at or before `t`, and how far `t` is on the way to the next, 0..1. */
   private place(t: number): { index: number; share: number } {
     let [low, high] = [0, this.stops.length - 1];

@@ -29,6 +29,8 @@ const DRAW_S = 0.25;
 const DRAWN_WITHIN = 1.001;
 /** Flying speed: this share of the distance to the middle of the scene, a second. */
 const FLY_SHARE = 0.45;
+/** What the camera turns about is at most this many times as far away as the middle of the scene is from its own camera. */
+const MOST_DEPTHS = 1.5;
 const STILL: Push = { right: 0, up: 0, ahead: 0, fast: false };
 
 interface Swing {
@@ -60,7 +62,12 @@ export class CameraRig {
     public lively: boolean,
   ) {
     this.pose = path.pose(0);
-    this.pivot = pivotOf(this.pose, centre);
+    this.pivot = this.ahead(this.pose);
+  }
+
+  /** What a camera turns about. */
+  private ahead(pose: Pose): Vec3 {
+    return pivotOf(pose, this.centre, MOST_DEPTHS * this.path.depth(this.centre));
   }
 
   get mode(): Mode {
@@ -96,7 +103,7 @@ export class CameraRig {
     if (this.current === mode && !this.swing && !this.glide) return;
     const pose = this.at(t);
     // a swing keeps its pivot; anything else looks for a new one
-    const pivot = this.swing ? this.swing.pivot : pivotOf(pose, this.centre);
+    const pivot = this.swing ? this.swing.pivot : this.ahead(pose);
     this.glide = null;
     this.swing = null;
     this.current = mode;
@@ -119,7 +126,7 @@ export class CameraRig {
     this.free("orbit", t);
     this.time = t;
     this.pose = pose;
-    this.pivot = pivotOf(pose, this.centre);
+    this.pivot = this.ahead(pose);
   }
 
   /** Takes over where another rig was, when a new scene comes in. */
@@ -242,7 +249,7 @@ export class CameraRig {
       const back = mixPose(pose, source, 1 - allowed / far);
       // who flies looks where they like
       const next = this.current === "fly" ? { ...pose, position: back.position } : back;
-      const pivot = pivotOf(next, this.centre);
+      const pivot = this.ahead(next);
       if (this.swing) {
         const angle = swingAngle(next, pivot, this.safe.radiusAt(t));
         this.swing = { ...this.swing, base: next, pivot, angle };
