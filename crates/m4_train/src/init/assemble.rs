@@ -319,7 +319,7 @@ mod tests {
     use super::{LEAST_STATIC, MIN_PIXELS, MOST_STATIC, STATIC_PIXELS, static_pixels};
     use crate::init::InitConfig;
 
-    /// Voxels of an edge that a surface of so many pixels fills.
+    /// Voxels of an edge that a surface of `pixels` pixels fills.
     fn voxels(pixels: f32) -> impl Fn(f32) -> usize {
         move |edge| (pixels / (edge * edge)) as usize
     }

@@ -116,7 +116,7 @@ describe("the limit of moving parts", () => {
     expect(safe.caution(place, 5)).toBeNull();
   });
 
-  test("is told in per cent and degrees, where it is felt", () => {
+  test("is shown in per cent and degrees, where it is felt", () => {
     const { safe, limit } = scene(() => 0.12);
     const radius = safe.radiusAt(0);
     expect(limit?.words(0)).toBe("Moving parts are placed to ±12\u00a0%: the image fades beyond 3°");
@@ -225,7 +225,7 @@ describe("the rig within the limit", () => {
     expect(fades[0]).toBeGreaterThan(0.5);
     expect(outs.at(-1)).toBeLessThan(1.001);
     expect(Math.max(...steps)).toBeLessThan(0.1 * start);
-    // time stands still in the first one
+    // time is paused in the first one
     steps.slice(2).forEach((step, i) => expect(step).toBeLessThan((steps[i + 1] ?? 0) + 1e-9));
   });
 
@@ -239,7 +239,7 @@ describe("the rig within the limit", () => {
     let steps = 0;
     rig.advance(0.02, 0);
     expect(distance(rig.at(0).position, end), "not at once").toBeLessThan(0.2);
-    // it goes on although time stands still
+    // it goes on although time is paused
     while (rig.advance(0.02, 0) && steps++ < 500) {
       expect(distance(rig.at(0).position, last)).toBeLessThan(0.2);
       last = rig.at(0).position;
@@ -248,7 +248,7 @@ describe("the rig within the limit", () => {
     expect(rig.advance(0.02, 0), "and ends").toBe(false);
   });
 
-  test("nothing is drawn back while time stands still, or once the limit is lifted", () => {
+  test("nothing is drawn back while time is paused, or once the limit is lifted", () => {
     const all = scene(() => 0.12);
     const { rig, safe } = all;
     rig.turn(1, 0, 0);

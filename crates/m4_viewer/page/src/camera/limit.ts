@@ -1,7 +1,7 @@
 /**
  * How far the camera may be from the source camera of the moment before errors of distances show.
  *
- * One camera knows the distance of what moves with a relative standard deviation `s` only. From `b` beside that camera,
+ * One camera knows the distance of moving parts with a relative standard deviation `s` only. From `b` beside that camera,
  * things `z` away are then out of place by `f b s / z` pixels of the source image.
  */
 
@@ -38,7 +38,7 @@ export class DistanceLimit {
     this.reaches = stops.map((stop) => stop.reach);
   }
 
-  /** The limit of a scene; none where nothing is said of distances. */
+  /** The limit of a scene; none where no distance has a deviation. */
   static of(path: SourcePath, cameras: readonly SourceCamera[], centre: Vec3, fps: number): DistanceLimit | null {
     const middle = cameras[cameras.length >> 1];
     if (!middle || cameras.every((c) => c.distance_sigma === undefined)) return null;

@@ -13,7 +13,7 @@ import type { SourcePath } from "./path";
 const STOP_AT = 1.6;
 /** How much of the image has faded where the camera stops. */
 const FADE_MOST = 0.8;
-/** Share of the limit of moving parts from which on the user is told of it: a camera at rest on it is. */
+/** Share of the limit of moving parts from which on the page shows the hint: a camera at rest on it is. */
 const TOLD_AT = 0.95;
 
 export class SafeRegion {

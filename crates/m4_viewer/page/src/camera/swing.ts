@@ -1,4 +1,4 @@
-/** Bullet time: while time stands still the camera swings gently about what it looks at. */
+/** Bullet time: while time is paused the camera swings gently about what it looks at. */
 
 import { type Pose, type Vec3, distance, smoothstep } from "../maths";
 import { turned } from "./orbit";
