@@ -5,7 +5,7 @@
  * things `z` away are then out of place by `f b s / z` pixels of the source image.
  */
 
-import { type Vec3, distance } from "../maths";
+import type { Vec3 } from "../maths";
 import type { SourceCamera } from "../scene";
 import type { SourcePath } from "./path";
 
@@ -40,9 +40,8 @@ export class DistanceLimit {
 
   /** The limit of a scene; none where no distance has a deviation. */
   static of(path: SourcePath, cameras: readonly SourceCamera[], centre: Vec3, fps: number): DistanceLimit | null {
-    const middle = cameras[cameras.length >> 1];
-    if (!middle || cameras.every((c) => c.distance_sigma === undefined)) return null;
-    const depth = distance(path.pose(middle.t).position, centre);
+    if (cameras.every((c) => c.distance_sigma === undefined)) return null;
+    const depth = path.depth(centre);
     if (!(depth > 0)) return null;
     const stops = cameras.map(({ fx, distance_sigma: sigma = 0 }) => ({
       reach: Math.max((MOST_PX * depth) / (fx * sigma), LEAST_SHARE * depth),
