@@ -15,10 +15,11 @@
 //! the whole clip. Needs neither size nor shape, but a ground and a curved path.
 
 use super::ground::Ground;
+use super::silhouette::silhouettes;
 use super::{Flight, Tracklet, WorkingClip, flight};
 use crate::FrameRate;
 use m4_core::{Camera, quantile};
-use nalgebra::{Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix6, Vector3, Vector6};
 
 /// Least time in flight, of all objects together, for the prior to be used, seconds.
 const LEAST_IN_FLIGHT_S: f64 = 2.0 / 3.0;
@@ -116,13 +117,6 @@ fn one_size(object: &RigidObject<'_>, flights: &[Flight], ground: &Ground, g: f6
     sizes.iter().all(|s| *s < SIZE_RATIO * least)
 }
 
-/// A part with less than this share of its area in the frames around is partly hidden.
-const COMPLETE: f64 = 0.75;
-/// Time around a frame that tells how large a part usually is, on each side, seconds.
-const AROUND_S: f64 = 1.0 / 6.0;
-/// A part that shares more than this of its outline with another may be behind it.
-const SHARED: f64 = 0.08;
-
 /// What one frame shows of a part.
 pub(super) struct Observation {
     /// Two directions in the world, across the ray to the middle: their product with the vector
@@ -139,18 +133,14 @@ pub(super) struct Observation {
 
 /// By frame of the tracklet.
 fn observations(clip: &WorkingClip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
-    let area: Vec<f64> = tracklet.parts.iter().map(|p| p.len() as f64).collect();
-    let mut own = vec![false; clip.width * clip.height];
-    let reach = clip.rate.frames(AROUND_S);
-    (0..area.len())
-        .map(|k| {
+    silhouettes(clip, tracklet)
+        .iter()
+        .enumerate()
+        .map(|(k, silhouette)| {
             let camera = &clip.cameras[tracklet.first + k];
             let lens = &camera.intrinsics;
-            let (middle, clear) = outline(clip, tracklet, k, &mut own);
-            let around = &area[k.saturating_sub(reach)..(k + reach + 1).min(area.len())];
-            let usual = around.iter().copied().fold(0.0, f64::max);
-            let radius_px = (area[k] / std::f64::consts::PI).sqrt();
-            let [u, v] = [middle.x + 0.5, middle.y + 0.5];
+            let radius_px = silhouette.radius_px();
+            let [u, v] = [silhouette.middle.x + 0.5, silhouette.middle.y + 0.5];
             Observation {
                 across: [
                     camera.c2w.rotation * Vector3::new(lens.fx, 0.0, lens.cx - u),
@@ -158,46 +148,10 @@ fn observations(clip: &WorkingClip<'_>, tracklet: &Tracklet) -> Vec<Observation>
                 ],
                 radius: radius_px / lens.fx,
                 radius_px,
-                complete: clear && area[k] > COMPLETE * usual,
+                complete: silhouette.complete,
             }
         })
         .collect()
-}
-
-/// Pixel coordinates of the middle of a part, and whether it touches neither the border of the
-/// image nor, for long, another part; `own` is room to work in, all false before and after.
-fn outline(
-    clip: &WorkingClip<'_>,
-    tracklet: &Tracklet,
-    k: usize,
-    own: &mut [bool],
-) -> (Vector2<f64>, bool) {
-    let (w, h) = (clip.width, clip.height);
-    let (pixels, dynamic) = (&tracklet.parts[k], &clip.dynamic[tracklet.first + k]);
-    for &p in pixels {
-        own[p as usize] = true;
-    }
-    let (mut sum, mut border) = (Vector2::zeros(), false);
-    let (mut edge, mut shared) = (0usize, 0usize);
-    for &p in pixels {
-        let p = p as usize;
-        let (x, y) = (p % w, p / w);
-        sum += Vector2::new(x as f64, y as f64);
-        if x < 2 || y < 2 || x + 3 > w || y + 3 > h {
-            border = true;
-            continue;
-        }
-        let next = [p - 1, p + 1, p - w, p + w];
-        edge += usize::from(next.iter().any(|&n| !own[n]));
-        shared += usize::from(next.iter().any(|&n| !own[n] && dynamic[n] > 0));
-    }
-    for &p in pixels {
-        own[p as usize] = false;
-    }
-    (
-        sum / pixels.len().max(1) as f64,
-        !border && (shared as f64) < SHARED * edge as f64,
-    )
 }
 
 /// Fewest frames in which the whole object is seen.

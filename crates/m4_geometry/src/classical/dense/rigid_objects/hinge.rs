@@ -7,7 +7,7 @@
 //! passes: `q c + v + R s = m` is linear in `q`, `s` and `m`. Multiplied by `q` in this way, the
 //! error no longer favours parts close to the camera (Ozden, Schindler and Van Gool 2010).
 
-use super::{Tracklet, WorkingClip, rigid::Shape};
+use super::{Tracklet, WorkingClip, shape::Shape};
 use m4_core::quantile;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 

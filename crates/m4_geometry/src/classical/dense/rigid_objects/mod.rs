@@ -4,7 +4,9 @@
 //!
 //! ```text
 //! masks, flow -> tracklet: one part through time; objects that touch in the image are separated by other frames
-//!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale
+//!             -> edges: where its pixels are in other frames; silhouette: how near it is by its size
+//!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale;
+//!                reversal: frames that took the mirror image are turned back
 //!             -> scale: the one number that is left
 //!             -> ballistic: objects in flight share one acceleration
 //! ```
@@ -13,11 +15,15 @@
 //! scale.
 
 mod ballistic;
+mod edges;
 mod flight;
 mod ground;
 mod hinge;
+mod reversal;
 mod rigid;
 mod scale;
+mod shape;
+mod silhouette;
 mod tracklet;
 
 use super::sources::DenseError;
@@ -51,7 +57,7 @@ fn shortest(clip: &WorkingClip<'_>) -> usize {
 }
 
 /// A part that was adjusted, and what its frames say about its scale.
-type Body<'a> = (&'a Tracklet, rigid::Shape, scale::Reading);
+type Body<'a> = (&'a Tracklet, shape::Shape, scale::Reading);
 
 /// What gives the distance of a dynamic object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -193,7 +199,7 @@ fn fall(
     scales: &mut [Vec<f32>],
 ) -> Vec<bool> {
     let mut flies = vec![false; bodies.len()];
-    let typical = |shape: &rigid::Shape, k: usize| {
+    let typical = |shape: &shape::Shape, k: usize| {
         let mut all: Vec<f32> = shape.values(clip, k).map(|(_, d)| d).collect();
         quantile(&mut all, 0.5)
     };

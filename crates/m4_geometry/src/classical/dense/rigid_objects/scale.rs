@@ -1,7 +1,7 @@
 //! The one number that the motion of a part does not reveal.
 
 use super::hinge::{self, Vote};
-use super::rigid::Shape;
+use super::shape::Shape;
 use super::{DistanceCue, OCCLUSION_RANGE, Tracklet, WorkingClip};
 use crate::classical::dense::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
 use m4_core::quantile;
