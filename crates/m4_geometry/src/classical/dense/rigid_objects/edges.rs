@@ -10,7 +10,8 @@ use crate::flow::FlowPair;
 /// as at 24 gave 3 to 12 % worse depth on three scenes.
 const SPANS: [usize; 3] = [1, 3, 8];
 
-/// The pixels that are adjusted: one of every [`BLOCK_PX`] squared, in the box in which a part stays.
+/// The pixels that are adjusted: one of every [`BLOCK_PX`] squared, in the box in which a part
+/// stays.
 pub(super) struct Blocks {
     pub grid: Grid,
     /// Its first column and row.

@@ -30,8 +30,10 @@ use super::sources::DenseError;
 use super::working::{WorkingClip, each};
 use crate::smooth::Smoother;
 use flight::Flight;
+use hinge::Vote;
 use m4_core::{Progress, quantile};
 use rayon::prelude::*;
+use scale::Decision;
 pub(super) use tracklet::{Tracklet, follow};
 
 /// Distance of the pixels that are adjusted, pixels at the working size.
@@ -137,19 +139,20 @@ pub(super) fn place<'s>(
             .map(|(_, _, reading)| reading)
             .collect::<Vec<_>>(),
     );
-    let mut scales: Vec<Vec<f32>> = bodies
-        .iter()
-        .zip(&scales)
-        .map(|((t, _, _), s)| vec![*s; t.parts.len()])
-        .collect();
-    let flies = match ground::find(clip) {
-        Some(ground) => fall(clip, &ground, &bodies, &mut scales),
-        None => vec![false; bodies.len()],
+    let falls = match ground::find(clip) {
+        Some(ground) => falls(clip, &ground, &bodies, &scales),
+        None => vec![None; bodies.len()],
     };
+    let decisions: Vec<Option<Decision>> = bodies
+        .iter()
+        .zip(&falls)
+        .map(|((_, _, reading), fall)| reading.decide_with(*fall))
+        .collect();
     // Part by part onto the pixels, along the edges of the image.
     let mut values: Vec<Vec<(u32, f32)>> = vec![Vec::new(); disparity.len()];
-    for ((tracklet, shape, _), scale) in bodies.iter().zip(&scales) {
-        for (k, scale) in scale.iter().enumerate() {
+    for (((tracklet, shape, _), decision), scale) in bodies.iter().zip(&decisions).zip(&scales) {
+        let scale = decision.map_or(*scale, |decision| decision.vote.factor as f32);
+        for k in 0..tracklet.parts.len() {
             values[tracklet.first + k].extend(shape.values(clip, k).map(|(p, d)| (p, d * scale)));
         }
     }
@@ -163,8 +166,8 @@ pub(super) fn place<'s>(
         });
     let mut objects: Vec<DynamicObject> = bodies
         .iter()
-        .zip(flies)
-        .map(|(body, flies)| describe(clip, body, flies))
+        .zip(decisions)
+        .map(|(body, decision)| describe(clip, body, decision))
         .collect();
     objects.sort_by_key(|object| object.first_frame);
     Ok(objects)
@@ -172,14 +175,12 @@ pub(super) fn place<'s>(
 
 fn describe(
     clip: &WorkingClip<'_>,
-    (tracklet, _, reading): &Body<'_>,
-    flies: bool,
+    (tracklet, _, _): &Body<'_>,
+    decision: Option<Decision>,
 ) -> DynamicObject {
-    let (cue, sigma) = match reading.decision {
-        _ if flies => (DistanceCue::Ballistic, BALLISTIC_SIGMA),
-        Some(decision) => (decision.cue, decision.vote.sigma),
-        None => (DistanceCue::Assumed, ASSUMED_SIGMA),
-    };
+    let (cue, sigma) = decision.map_or((DistanceCue::Assumed, ASSUMED_SIGMA), |decision| {
+        (decision.cue, decision.vote.sigma)
+    });
     let frames = tracklet.parts.len();
     let pixels: usize = tracklet.parts.iter().map(Vec::len).sum();
     DynamicObject {
@@ -191,60 +192,47 @@ fn describe(
     }
 }
 
-/// Corrects the scales (by body and frame) of what flies, and returns which bodies do.
-fn fall(
+/// The scales of bodies that fall, by their parabolas; `scales` are those without.
+fn falls(
     clip: &WorkingClip<'_>,
     ground: &ground::Ground,
     bodies: &[Body<'_>],
-    scales: &mut [Vec<f32>],
-) -> Vec<bool> {
-    let mut flies = vec![false; bodies.len()];
-    let typical = |shape: &shape::Shape, k: usize| {
-        let mut all: Vec<f32> = shape.values(clip, k).map(|(_, d)| d).collect();
-        quantile(&mut all, 0.5)
-    };
-    let depth: Vec<Vec<f64>> = bodies
+    scales: &[f32],
+) -> Vec<Option<Vote>> {
+    let typical: Vec<Vec<f64>> = bodies
         .iter()
-        .zip(&*scales)
-        .map(|((_, shape, _), scale)| {
-            scale
-                .iter()
-                .enumerate()
-                .map(|(k, s)| 1.0 / f64::from(typical(shape, k).unwrap_or(1.0) * s))
-                .collect()
+        .map(|(tracklet, shape, _)| {
+            let of_frame = |k: usize| {
+                let mut all: Vec<f32> = shape.values(clip, k).map(|(_, d)| d).collect();
+                f64::from(quantile(&mut all, 0.5).unwrap_or(1.0))
+            };
+            (0..tracklet.parts.len()).map(of_frame).collect()
+        })
+        .collect();
+    let depth: Vec<Vec<f64>> = typical
+        .iter()
+        .zip(scales)
+        .map(|(typical, scale)| {
+            let depth = |t: &f64| 1.0 / (t * f64::from(*scale));
+            typical.iter().map(depth).collect()
         })
         .collect();
     let tracklets: Vec<&Tracklet> = bodies.iter().map(|(t, _, _)| *t).collect();
     let Some(flying) = ballistic::depths(clip, ground, &tracklets, &depth) else {
-        return flies;
+        return vec![None; bodies.len()];
     };
-    for ((((tracklet, shape, reading), flying), scales), flies) in
-        bodies.iter().zip(&flying).zip(scales).zip(&mut flies)
-    {
-        let falls: Vec<Option<f32>> = flying
-            .iter()
-            .enumerate()
-            .map(|(k, z)| {
-                let typical = typical(shape, k)?;
-                z.map(|z| 1.0 / (z as f32 * typical))
-            })
-            .collect();
-        let factor = quantile(
-            &mut falls.iter().copied().flatten().collect::<Vec<_>>(),
-            0.5,
-        );
-        if !factor.is_some_and(|factor| reading.allows_fall(factor)) {
-            continue;
-        }
-        *flies = true;
-        let factors: Vec<Option<f32>> = falls
-            .into_iter()
-            .enumerate()
-            .map(|(k, fall)| fall.or_else(|| scale::standing(clip, tracklet, shape, k)))
-            .collect();
-        scale::between(&factors, scales);
-    }
-    flies
+    flying
+        .iter()
+        .zip(&typical)
+        .map(|(flying, typical)| {
+            let mut factors: Vec<f32> = flying
+                .iter()
+                .zip(typical)
+                .filter_map(|(z, typical)| z.map(|z| (1.0 / (z * typical)) as f32))
+                .collect();
+            Vote::of_frames(&mut factors, BALLISTIC_SIGMA)
+        })
+        .collect()
 }
 
 /// Spreads the values of a frame over the parts that they lie in.

@@ -1,7 +1,7 @@
 //! Depth reversal: from afar, a shape and its mirror image that turns the other way look alike
-//! (Szeliski and Kang 1997). An adjustment that starts from a flat part may take one of them in some
-//! frames and the other in the next. Where the relief of neighbouring frames contradicts, the frames
-//! before or after are mirrored and adjusted again, and the better result stays.
+//! (Szeliski and Kang 1997). An adjustment that starts from a flat part may take one of them in
+//! some frames and the other in the next. Where the reliefs of neighbouring frames contradict each
+//! other, the frames before or after are mirrored and adjusted again, and the better result stays.
 
 use crate::FrameRate;
 use crate::dba::{Factor, Geometry};

@@ -9,8 +9,6 @@ use m4_core::quantile;
 /// Share of the frames whose lower bound of the scale the scale exceeds, where nothing but bounds
 /// is known.
 const BOUND_QUANTILE: f64 = 0.75;
-/// The same of frames in which a part stands on the ground: they are as often too near as too far.
-const TOUCH_QUANTILE: f64 = 0.5;
 /// A region has ground under it where the background there comes nearer by more than this share of
 /// its disparity per row.
 const GROUND_SLOPE: f32 = 0.003;
@@ -19,8 +17,6 @@ const STANDING_SHARE: f32 = 0.3;
 /// Standard deviation of the logarithm of a scale by contact, where all frames agree: of outlines
 /// and shapes.
 const CONTACT_SIGMA: f64 = 0.06;
-/// Median absolute deviations in a standard deviation.
-const DEVIATIONS: f64 = 1.48;
 /// Probability that a part with ground under it stands there, and the range of logarithms over
 /// which it may be anywhere else.
 const STANDS: f64 = 0.85;
@@ -28,6 +24,9 @@ const ELSEWHERE: f64 = 1.6;
 /// The same for a part that seems to turn about a fixed point.
 const TURNS: f64 = 0.5;
 const ANYWHERE: f64 = 3.7;
+/// What falls in some frames stands in few of the others: it adds this to the standard deviation of
+/// the logarithm of its scale by contact.
+const LEAPS_SIGMA: f64 = 0.2;
 /// Standard deviations by which a fall may be off the scale by a fixed point.
 const HINGE_SIGMAS: f64 = 2.0;
 /// Over how many rows the slope of the ground is read.
@@ -51,9 +50,32 @@ pub(super) struct Decision {
 }
 
 impl Reading {
-    /// Whether the part may fall at this factor: a piece of a swing looks like a fall, but at
-    /// another distance, or behind what the part hides.
-    pub fn allows_fall(&self, factor: f32) -> bool {
+    /// What decides, given the scale by a fall: the surer of both, or both where they agree. A fall
+    /// at another distance than that of a fixed point, or behind what the part hides, is a piece of
+    /// a swing.
+    pub fn decide_with(&self, fall: Option<Vote>) -> Option<Decision> {
+        let Some(fall) = fall.filter(|fall| self.allows_fall(fall.factor as f32)) else {
+            return self.decision;
+        };
+        let fall = Decision {
+            vote: fall,
+            cue: DistanceCue::Ballistic,
+        };
+        let Some(mut decision) = self.decision else {
+            return Some(fall);
+        };
+        if decision.cue == DistanceCue::Contact {
+            decision.vote.sigma = decision.vote.sigma.hypot(LEAPS_SIGMA);
+        }
+        let surer = match fall.vote.sigma < decision.vote.sigma {
+            true => fall,
+            false => decision,
+        };
+        let vote = fall.vote.agreed(decision.vote).unwrap_or(surer.vote);
+        Some(Decision { vote, ..surer })
+    }
+
+    fn allows_fall(&self, factor: f32) -> bool {
         let hinged = self
             .decision
             .filter(|decision| decision.cue == DistanceCue::FixedPoint);
@@ -103,18 +125,17 @@ pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -
     })
 }
 
-/// The scale by the ground under a part: the median of its frames, and less sure the more these
-/// differ.
+/// The scale by the ground under a part. Where its frames differ by more than outlines and shapes
+/// do, it hovers or leaps: every frame is then a lower bound, as far below the scale as it is above
+/// the ground, and the scale is above their median by about the spread of what is left (exactly so
+/// for heights with an exponential distribution, but for 3 %).
 fn contact(standing: &mut [f32]) -> Option<Vote> {
-    let factor = f64::from(quantile(standing, TOUCH_QUANTILE)?);
-    let mut off: Vec<f64> = standing
-        .iter()
-        .map(|f| (f64::from(*f) / factor).ln().abs())
-        .collect();
-    let spread = DEVIATIONS * quantile(&mut off, 0.5)?;
+    let vote = Vote::of_frames(standing, CONTACT_SIGMA)?;
+    let spread = (vote.sigma.powi(2) - CONTACT_SIGMA.powi(2)).max(0.0).sqrt();
+    let height = (spread.powi(2) - CONTACT_SIGMA.powi(2)).max(0.0).sqrt();
     Some(Vote {
-        factor,
-        sigma: CONTACT_SIGMA.hypot(spread),
+        factor: vote.factor * height.exp(),
+        ..vote
     })
 }
 
@@ -142,22 +163,15 @@ fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
         (STANDS * density(contact, log) + elsewhere)
             * (TURNS * density(hinge, log) + (1.0 - TURNS) / ANYWHERE)
     };
-    let [a, b] = [contact, hinge].map(|v| v.sigma.powi(-2));
-    let mean = (a * contact.factor.ln() + b * hinge.factor.ln()) / (a + b);
-    let both = Vote {
-        factor: mean.exp(),
-        sigma: (a + b).sqrt().recip(),
-    };
-    let surer = if a < b {
+    let surer = if hinge.sigma < contact.sigma {
         DistanceCue::FixedPoint
     } else {
         DistanceCue::Contact
     };
-    let agree = (contact.factor / hinge.factor).ln().abs() < contact.sigma.hypot(hinge.sigma);
     [
         Some(by(DistanceCue::Contact)(contact)),
         Some(by(DistanceCue::FixedPoint)(hinge)),
-        agree.then(|| by(surer)(both)),
+        contact.agreed(hinge).map(by(surer)),
     ]
     .into_iter()
     .flatten()
@@ -177,16 +191,6 @@ pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
         .iter()
         .map(|r| r.factor().unwrap_or_else(|| guess(r)))
         .collect()
-}
-
-/// The factor by the ground under a part in one frame, if it is ground.
-pub(super) fn standing(
-    clip: &WorkingClip<'_>,
-    tracklet: &Tracklet,
-    shape: &Shape,
-    k: usize,
-) -> Option<f32> {
-    bound(clip, tracklet, shape, k)?.standing()
 }
 
 /// Fills what is not known between what is, evenly in ratios, and carries the first and the last
@@ -263,7 +267,7 @@ fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -
 
 #[cfg(test)]
 mod tests {
-    use super::{Decision, DistanceCue, Reading, Vote, decide};
+    use super::{Decision, DistanceCue, Reading, Vote, contact, decide};
 
     #[test]
     fn the_surer_of_contact_and_hinge_decides_and_both_are_averaged_where_they_agree() {
@@ -292,28 +296,63 @@ mod tests {
 
     #[test]
     fn a_fall_is_in_front_of_what_the_part_hides_and_near_its_fixed_point() {
+        let vote = |factor: f64, sigma: f64| Vote { factor, sigma };
         let reading = |cue: DistanceCue| Reading {
             typical: 1.0,
             bound: 0.6,
             decision: Some(Decision {
-                vote: Vote {
-                    factor: 1.0,
-                    sigma: 0.1,
-                },
+                vote: vote(1.0, 0.1),
                 cue,
             }),
         };
-        let (hinge, contact) = (
+        let cue = |reading: &Reading, factor: f64| {
+            let decision = reading.decide_with(Some(vote(factor, 0.12)));
+            decision.map(|decision| decision.cue)
+        };
+        let (fixed, contact, fall) = (
+            Some(DistanceCue::FixedPoint),
+            Some(DistanceCue::Contact),
+            Some(DistanceCue::Ballistic),
+        );
+        let (hinge, stands) = (
             reading(DistanceCue::FixedPoint),
             reading(DistanceCue::Contact),
         );
-        assert!(hinge.allows_fall(1.1) && !hinge.allows_fall(1.4));
+        assert_eq!(cue(&hinge, 1.4), fixed);
         // What stands in some frames may fly in others, but not behind the wall.
-        assert!(contact.allows_fall(1.4) && !contact.allows_fall(0.4));
+        assert_eq!((cue(&stands, 1.4), cue(&stands, 0.4)), (fall, contact));
         let unknown = Reading {
             decision: None,
-            ..contact
+            ..stands
         };
-        assert!(unknown.allows_fall(3.0) && !unknown.allows_fall(0.4));
+        assert_eq!((cue(&unknown, 3.0), cue(&unknown, 0.4)), (fall, None));
+        // Both count where they agree.
+        let both = hinge.decide_with(Some(vote(1.1, 0.1))).unwrap().vote;
+        assert!((both.factor - 1.1f64.sqrt()).abs() < 1e-6, "{both:?}");
+    }
+
+    #[test]
+    fn what_hovers_is_nearer_than_most_of_the_ground_under_it() {
+        // Heights with an exponential distribution over a true factor of 1.
+        let leaps = |height: f64| {
+            let mut factors: Vec<f32> = (0..200)
+                .map(|k| (height * (1.0 - (k as f64 + 0.5) / 200.0).ln()).exp() as f32)
+                .collect();
+            contact(&mut factors).unwrap()
+        };
+        for height in [0.2, 0.4] {
+            let vote = leaps(height);
+            let off = vote.factor.ln().abs();
+            assert!(
+                off < 0.25 * height && off < vote.sigma,
+                "{height}: {vote:?}"
+            );
+        }
+        // Errors of outlines are no heights.
+        let stands = leaps(0.05);
+        assert!(
+            (stands.factor.ln() + 0.05 * 2f64.ln()).abs() < 0.002,
+            "{stands:?}"
+        );
     }
 }
