@@ -15,7 +15,7 @@
 //! the whole clip. Needs neither size nor shape, but a ground and a curved path.
 
 use super::ground::Ground;
-use super::silhouette::silhouettes;
+use super::silhouette::{radius_px, silhouettes};
 use super::{Flight, Tracklet, WorkingClip, flight};
 use crate::FrameRate;
 use m4_core::{Camera, quantile};
@@ -139,7 +139,7 @@ fn observations(clip: &WorkingClip<'_>, tracklet: &Tracklet) -> Vec<Observation>
         .map(|(k, silhouette)| {
             let camera = &clip.cameras[tracklet.first + k];
             let lens = &camera.intrinsics;
-            let radius_px = silhouette.radius_px();
+            let radius_px = radius_px(silhouette.area);
             let [u, v] = [silhouette.middle.x + 0.5, silhouette.middle.y + 0.5];
             Observation {
                 across: [

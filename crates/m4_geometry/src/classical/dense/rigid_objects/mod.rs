@@ -25,16 +25,17 @@ mod scale;
 mod shape;
 mod silhouette;
 mod tracklet;
+mod vote;
 
 use super::sources::DenseError;
 use super::working::{WorkingClip, each};
 use crate::smooth::Smoother;
 use flight::Flight;
-use hinge::Vote;
 use m4_core::{Progress, quantile};
 use rayon::prelude::*;
 use scale::Decision;
 pub(super) use tracklet::{Tracklet, follow};
+use vote::Vote;
 
 /// Distance of the pixels that are adjusted, pixels at the working size.
 const BLOCK_PX: usize = 4;

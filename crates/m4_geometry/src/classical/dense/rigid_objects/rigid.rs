@@ -15,8 +15,8 @@ const PRIOR: f32 = 0.001;
 /// Residual that counts half, pixels of the grid.
 const CAUCHY_PX: f64 = NOISE_PX / BLOCK_PX as f64;
 /// The steps of an adjustment from a flat part that moves as a static one would: what is free,
-/// iterations, and how many times the usual residual counts half. Few wrong motions are near at
-/// first, so residuals count in full (graduated non-convexity; Blake and Zisserman 1987).
+/// iterations, and how many times the usual residual counts half. At first all residuals count, so
+/// that a motion far from the start is reached (graduated non-convexity; Blake and Zisserman 1987).
 const FROM_AFAR: [(Free, usize, f64); 10] = [
     (Free::Poses, 6, 16.0),
     (Free::PosesAndDepth, 6, 16.0),

@@ -1,7 +1,8 @@
 //! The one number that the motion of a part does not reveal.
 
-use super::hinge::{self, Vote};
+use super::hinge;
 use super::shape::Shape;
+use super::vote::Vote;
 use super::{DistanceCue, OCCLUSION_RANGE, Tracklet, WorkingClip};
 use crate::classical::dense::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
 use m4_core::quantile;
@@ -191,25 +192,6 @@ pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
         .iter()
         .map(|r| r.factor().unwrap_or_else(|| guess(r)))
         .collect()
-}
-
-/// Fills what is not known between what is, evenly in ratios, and carries the first and the last
-/// on.
-pub(super) fn between(factors: &[Option<f32>], out: &mut [f32]) {
-    let at: Vec<(usize, f32)> = factors
-        .iter()
-        .enumerate()
-        .filter_map(|(k, v)| v.map(|v| (k, v)))
-        .collect();
-    for (k, out) in out.iter_mut().enumerate() {
-        let next = at.partition_point(|(i, _)| *i < k);
-        let (before, after) = (next.checked_sub(1).and_then(|i| at.get(i)), at.get(next));
-        *out = match (before, after) {
-            (Some(&(i, a)), Some(&(j, b))) => a * (b / a).powf((k - i) as f32 / (j - i) as f32),
-            (Some(&(_, v)), None) | (None, Some(&(_, v))) => v,
-            (None, None) => *out,
-        };
-    }
 }
 
 /// What one frame says.

@@ -1,6 +1,7 @@
 //! The shape and the motion of a part, up to one factor, and how much of its relief is believed.
 
 use super::edges::Blocks;
+use super::silhouette::radius_px;
 use super::{Tracklet, WorkingClip};
 use m4_core::{Camera, Se3, quantile};
 use nalgebra::Vector3;
@@ -100,8 +101,7 @@ pub(super) fn shrink_relief(
     let (mut relief, mut usual, mut count) = (0.0f32, 0.0f32, 0.0f32);
     for ((disparity, median), part) in disparity.iter().zip(&medians).zip(&tracklet.parts) {
         let Some(median) = median else { continue };
-        let radius =
-            (part.len() as f32 / std::f32::consts::PI).sqrt() / camera.intrinsics.fx as f32;
+        let radius = (radius_px(part.len()) / camera.intrinsics.fx) as f32;
         for d in disparity.iter().filter(|d| **d > 0.0) {
             relief += (d / median).ln().abs().min(MOST_RELIEF);
             usual += USUAL_RELIEF * radius;

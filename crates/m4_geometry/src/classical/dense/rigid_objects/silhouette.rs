@@ -1,7 +1,7 @@
 //! What the outline of a part shows in each frame: where its middle is, whether all of it is
 //! visible, and how near it is in one frame against another.
 
-use super::{Tracklet, WorkingClip, scale};
+use super::{Tracklet, WorkingClip};
 use m4_core::quantile;
 use nalgebra::Vector2;
 
@@ -27,11 +27,9 @@ pub(super) struct Silhouette {
     pub complete: bool,
 }
 
-impl Silhouette {
-    /// Radius of a disc of the same area, pixels at the working size.
-    pub fn radius_px(&self) -> f64 {
-        (self.area as f64 / std::f64::consts::PI).sqrt()
-    }
+/// Radius of a disc of an area, pixels.
+pub(super) fn radius_px(area: usize) -> f64 {
+    (area as f64 / std::f64::consts::PI).sqrt()
 }
 
 /// By frame of the tracklet.
@@ -93,9 +91,9 @@ fn outline(
 /// part), that moves them towards one size of the part in all frames in which it is complete. Of
 /// geometric mean 1; between these frames it changes evenly in ratios.
 ///
-/// What stands has the size that its contact says, but for errors of the outline. What hovers or
-/// flies has not: the distance of the ground under it changes, its size does not. So the factors
-/// count the more, the more the two differ.
+/// A standing part has the size that its contact says, but for errors of the outline. One that
+/// hovers or flies has not: the distance of the ground under it changes, its size does not. So the
+/// factors count the more, the more the two differ.
 pub(super) fn one_size(
     clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
@@ -112,7 +110,7 @@ pub(super) fn one_size(
         })
         .collect();
     let mut factors = vec![1.0; disparity.len()];
-    scale::between(&ratios, &mut factors);
+    between(&ratios, &mut factors);
     let mut logs: Vec<f32> = ratios.iter().flatten().map(|r| r.ln()).collect();
     let Some(middle) = quantile(&mut logs, 0.5) else {
         return factors;
@@ -125,6 +123,25 @@ pub(super) fn one_size(
         .iter_mut()
         .for_each(|f| *f = (share * (f.ln() - mean)).exp());
     factors
+}
+
+/// Fills what is not known between what is, evenly in ratios, and carries the first and the last
+/// on.
+fn between(factors: &[Option<f32>], out: &mut [f32]) {
+    let at: Vec<(usize, f32)> = factors
+        .iter()
+        .enumerate()
+        .filter_map(|(k, v)| v.map(|v| (k, v)))
+        .collect();
+    for (k, out) in out.iter_mut().enumerate() {
+        let next = at.partition_point(|(i, _)| *i < k);
+        let (before, after) = (next.checked_sub(1).and_then(|i| at.get(i)), at.get(next));
+        *out = match (before, after) {
+            (Some(&(i, a)), Some(&(j, b))) => a * (b / a).powf((k - i) as f32 / (j - i) as f32),
+            (Some(&(_, v)), None) | (None, Some(&(_, v))) => v,
+            (None, None) => *out,
+        };
+    }
 }
 
 #[cfg(test)]
