@@ -8,10 +8,11 @@ use crate::flow::FlowPair;
 /// Over how many frames a region is compared with itself, each both ways; rising. Not in seconds:
 /// errors add up with every step of the flow, and at 60 frames per second spans of the same seconds
 /// as at 24 gave 3 to 12 % worse depth on three scenes.
-const SPANS: [usize; 3] = [1, 3, 8];
+const SPANS: [usize; 4] = [1, 3, 8, 16];
 
 /// The pixels that are adjusted: one of every [`BLOCK_PX`] squared, in the box in which a part
 /// stays.
+#[derive(Clone)]
 pub(super) struct Blocks {
     pub grid: Grid,
     /// Its first column and row.
@@ -47,11 +48,17 @@ impl Blocks {
     }
 }
 
-/// One bit a pixel of every frame of a tracklet.
-pub(super) struct Inside(Vec<Vec<bool>>);
+/// A part and its blocks.
+pub(super) struct Part<'a> {
+    pub clip: &'a WorkingClip<'a>,
+    pub tracklet: &'a Tracklet,
+    pub blocks: Blocks,
+    /// One bit a pixel by frame of the tracklet.
+    inside: Vec<Vec<bool>>,
+}
 
-impl Inside {
-    pub fn of(clip: &WorkingClip<'_>, tracklet: &Tracklet) -> Self {
+impl<'a> Part<'a> {
+    pub fn of(clip: &'a WorkingClip<'a>, tracklet: &'a Tracklet) -> Self {
         let one = |pixels: &Vec<u32>| {
             let mut inside = vec![false; clip.width * clip.height];
             for &p in pixels {
@@ -59,89 +66,115 @@ impl Inside {
             }
             inside
         };
-        Self(tracklet.parts.iter().map(one).collect())
-    }
-
-    pub fn at(&self, k: usize, x: f32, y: f32, w: usize, h: usize) -> bool {
-        pixel_at(w, h, x, y).is_some_and(|p| x > -0.5 && y > -0.5 && self.0[k][p])
-    }
-}
-
-/// The edges of every frame to those [`SPANS`] before and after; frames are counted from the
-/// tracklet's first.
-pub(super) fn factors(
-    clip: &WorkingClip<'_>,
-    tracklet: &Tracklet,
-    inside: &Inside,
-    blocks: &Blocks,
-) -> Vec<Factor<f32>> {
-    let ways = (0..tracklet.parts.len()).flat_map(|k| [(k, true), (k, false)]);
-    ways.flat_map(|(k, later)| chain(clip, tracklet, inside, blocks, k, later))
-        .collect()
-}
-
-fn chain(
-    clip: &WorkingClip<'_>,
-    tracklet: &Tracklet,
-    inside: &Inside,
-    blocks: &Blocks,
-    k: usize,
-    later: bool,
-) -> Vec<Factor<f32>> {
-    let (w, h, block) = (clip.width, clip.height, BLOCK_PX as f32);
-    let [left, top] = blocks.corner.map(|c| c as f32);
-    let n = blocks.grid.len();
-    let (mut px, mut py, mut miss) = (vec![0.0f32; n], vec![0.0f32; n], vec![f32::INFINITY; n]);
-    for g in 0..n {
-        let (x, y) = blocks.pixel(g);
-        let (x, y) = (x as f32, y as f32);
-        if inside.at(k, x, y, w, h) {
-            (px[g], py[g], miss[g]) = (x, y, 0.0);
+        Self {
+            clip,
+            tracklet,
+            blocks: Blocks::around(clip, tracklet),
+            inside: tracklet.parts.iter().map(one).collect(),
         }
     }
-    let mut out = Vec::new();
-    let mut at = k;
-    for span in 1..=SPANS[SPANS.len() - 1] {
-        let next = if later { at + 1 } else { at.wrapping_sub(1) };
-        let step = FlowPair::step(clip.flows, tracklet.first + at, later);
-        let Some((flow, trip)) = step.filter(|_| next < tracklet.parts.len()) else {
-            break;
-        };
-        for g in 0..n {
-            if !miss[g].is_finite() {
-                continue;
+
+    /// Number of frames; they are counted from the tracklet's first.
+    pub fn frames(&self) -> usize {
+        self.tracklet.parts.len()
+    }
+
+    /// Whether a block shows the part in a frame.
+    pub fn has(&self, k: usize, g: usize) -> bool {
+        let (x, y) = self.blocks.pixel(g);
+        self.at(k, x as f32, y as f32)
+    }
+
+    fn at(&self, k: usize, x: f32, y: f32) -> bool {
+        pixel_at(self.clip.width, self.clip.height, x, y)
+            .is_some_and(|p| x > -0.5 && y > -0.5 && self.inside[k][p])
+    }
+
+    /// The edges of every frame to those [`SPANS`] before and after.
+    pub fn factors(&self) -> Vec<Factor<f32>> {
+        let ways = (0..self.frames()).flat_map(|k| [(k, true), (k, false)]);
+        ways.flat_map(|(k, later)| self.chain(k, later)).collect()
+    }
+
+    fn chain(&self, k: usize, later: bool) -> Vec<Factor<f32>> {
+        let block = BLOCK_PX as f32;
+        let [left, top] = self.blocks.corner.map(|c| c as f32);
+        let mut out = Vec::new();
+        self.walk(k, later, SPANS[SPANS.len() - 1], |step| {
+            if !SPANS.contains(&step.span) {
+                return;
             }
-            let (u, v) = flow.at(px[g], py[g]);
-            let trip = trip[nearest_pixel(w, h, px[g], py[g])];
-            (px[g], py[g]) = (px[g] + u, py[g] + v);
-            miss[g] = if trip < ROUND_TRIP_PX && inside.at(next, px[g], py[g], w, h) {
-                miss[g].hypot(trip)
-            } else {
-                f32::INFINITY
+            let weight = |m: &f32| {
+                if m.is_finite() {
+                    1.0 / (1.0 + m * m)
+                } else {
+                    0.0
+                }
             };
-        }
-        at = next;
-        if SPANS.contains(&span) {
-            let weight: Vec<f32> = miss
-                .iter()
-                .map(|m| {
-                    if m.is_finite() {
-                        1.0 / (1.0 + m * m)
-                    } else {
-                        0.0
-                    }
-                })
-                .collect();
+            let weight: Vec<f32> = step.miss.iter().map(weight).collect();
             out.push(Factor {
                 source: k,
-                target: at,
+                target: step.frame,
                 target_px: [
-                    px.iter().map(|x| x / block - left).collect(),
-                    py.iter().map(|y| y / block - top).collect(),
+                    step.px.iter().map(|x| x / block - left).collect(),
+                    step.py.iter().map(|y| y / block - top).collect(),
                 ],
                 weight: [weight.clone(), weight],
             });
+        });
+        out
+    }
+
+    /// Follows the blocks of frame `k` along the flow, for up to `most` frames.
+    pub fn walk(&self, k: usize, later: bool, most: usize, mut visit: impl FnMut(&Step)) {
+        let (w, h) = (self.clip.width, self.clip.height);
+        let n = self.blocks.grid.len();
+        let mut step = Step {
+            span: 0,
+            frame: k,
+            px: vec![0.0; n],
+            py: vec![0.0; n],
+            miss: vec![f32::INFINITY; n],
+        };
+        for g in (0..n).filter(|&g| self.has(k, g)) {
+            let (x, y) = self.blocks.pixel(g);
+            (step.px[g], step.py[g], step.miss[g]) = (x as f32, y as f32, 0.0);
+        }
+        for span in 1..=most {
+            let at = step.frame;
+            let next = if later { at + 1 } else { at.wrapping_sub(1) };
+            let flow = FlowPair::step(self.clip.flows, self.tracklet.first + at, later);
+            let Some((flow, trip)) = flow.filter(|_| next < self.frames()) else {
+                return;
+            };
+            for g in 0..n {
+                if !step.miss[g].is_finite() {
+                    continue;
+                }
+                let (x, y) = (step.px[g], step.py[g]);
+                let (u, v) = flow.at(x, y);
+                let trip = trip[nearest_pixel(w, h, x, y)];
+                (step.px[g], step.py[g]) = (x + u, y + v);
+                step.miss[g] = if trip < ROUND_TRIP_PX && self.at(next, x + u, y + v) {
+                    step.miss[g].hypot(trip)
+                } else {
+                    f32::INFINITY
+                };
+            }
+            (step.span, step.frame) = (span, next);
+            visit(&step);
         }
     }
-    out
+}
+
+/// Where the blocks of a frame are in another one.
+pub(super) struct Step {
+    /// Number of frames between both.
+    span: usize,
+    pub frame: usize,
+    /// Pixel coordinates by block.
+    pub px: Vec<f32>,
+    pub py: Vec<f32>,
+    /// How far the flow misses on its way back, pixels; infinite where a block is lost.
+    pub miss: Vec<f32>,
 }

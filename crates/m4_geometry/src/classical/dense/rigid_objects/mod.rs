@@ -19,11 +19,15 @@ mod edges;
 mod flight;
 mod ground;
 mod hinge;
+mod pieces;
+mod relief;
+mod residual;
 mod reversal;
 mod rigid;
 mod scale;
 mod shape;
 mod silhouette;
+mod subspace;
 mod tracklet;
 mod vote;
 

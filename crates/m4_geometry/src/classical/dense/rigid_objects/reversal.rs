@@ -3,6 +3,7 @@
 //! some frames and the other in the next. Where the reliefs of neighbouring frames contradict each
 //! other, the frames before or after are mirrored and adjusted again, and the better result stays.
 
+use super::residual::{offset_px, ray};
 use crate::FrameRate;
 use crate::dba::{Factor, Geometry};
 use m4_core::Se3;
@@ -62,16 +63,8 @@ fn pixels(geometry: &Geometry<f32>, k: usize) -> impl Iterator<Item = usize> + '
         .filter(move |&g| geometry.sensor[k][g] > 0.0 && geometry.disparity[k][g] > 0.0)
 }
 
-/// Direction of a pixel in the camera, of z 1.
-fn ray(geometry: &Geometry<f32>, g: usize) -> Vector3<f64> {
-    let (width, lens) = (geometry.grid.width, &geometry.lens);
-    let (x, y) = ((g % width) as f64, (g / width) as f64);
-    Vector3::new((x - lens.cx) / lens.fx, (y - lens.cy) / lens.fy, 1.0)
-}
-
 /// Robust sum of squared residuals (Cauchy), pixels of the grid.
 fn cost(geometry: &Geometry<f32>, edges: &[&Factor<f32>], cauchy_px: f64) -> f64 {
-    let lens = &geometry.lens;
     let of_edge = |edge: &&Factor<f32>| {
         let relative = geometry.relative(edge.source, edge.target);
         let mut sum = 0.0;
@@ -80,13 +73,7 @@ fn cost(geometry: &Geometry<f32>, edges: &[&Factor<f32>], cauchy_px: f64) -> f64
             if weight <= 0.0 {
                 continue;
             }
-            let d = f64::from(geometry.disparity[edge.source][g]);
-            let p = relative.rotation * ray(geometry, g) + relative.translation * d;
-            let z = p.z.max(f64::EPSILON);
-            let off = [
-                lens.fx * p.x / z + lens.cx - f64::from(edge.target_px[0][g]),
-                lens.fy * p.y / z + lens.cy - f64::from(edge.target_px[1][g]),
-            ];
+            let off = offset_px(geometry, edge, &relative, g);
             let squared = (off[0] * off[0] + off[1] * off[1]) / (cauchy_px * cauchy_px);
             sum += weight * squared.ln_1p();
         }

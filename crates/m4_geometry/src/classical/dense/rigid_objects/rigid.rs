@@ -1,17 +1,18 @@
-//! A part as a rigid body: dense bundle adjustment of the camera against it.
+//! A part as a rigid body: dense bundle adjustment of the camera against it, of the whole part and
+//! then of the largest piece of it that is rigid.
 
-use super::edges::{Blocks, Inside, factors};
-use super::shape::{Shape, shrink_relief};
-use super::{BLOCK_PX, Tracklet, WorkingClip, reversal, silhouette};
-use crate::dba::{DbaOptions, Free, Geometry, Pinhole, Problem, adjust};
-use m4_core::Camera;
+use super::edges::Part;
+use super::shape::{Shape, Whole, shrink_relief};
+use super::{BLOCK_PX, Tracklet, WorkingClip, pieces, relief, reversal, silhouette};
+use crate::dba::{DbaOptions, Factor, Free, Geometry, Pinhole, Problem, adjust};
+use m4_core::{Camera, Se3, quantile};
 
 /// Fewest adjusted pixels per frame.
 const LEAST_POINTS: usize = 12;
 /// Noise of the flow, pixels at the working size (scale of the Cauchy weight).
-const NOISE_PX: f64 = 0.6;
+pub(super) const NOISE_PX: f64 = 0.6;
 /// Weight of the disparity that contact suggests.
-const PRIOR: f32 = 0.001;
+const PRIOR: f64 = 0.001;
 /// Residual that counts half, pixels of the grid.
 const CAUCHY_PX: f64 = NOISE_PX / BLOCK_PX as f64;
 /// The steps of an adjustment from a flat part that moves as a static one would: what is free,
@@ -35,125 +36,189 @@ const FROM_NEARBY: [(Free, usize, f64); 3] = [
     (Free::PosesAndDepth, 6, 4.0),
     (Free::PosesAndDepth, 10, 1.0),
 ];
+/// The same of one whose relief is held.
+const HELD: [(Free, usize, f64); 1] = [(Free::PosesAndDepth, 8, 1.0)];
+/// How often relief is held to a plane at the distance of each frame.
+const ROUNDS: usize = 5;
 
-/// Adjusts one part; `before` is the disparity that it was believed to have.
+/// Adjusts one part; `before` is the disparity that it was believed to have. What is rigid in it
+/// has the shape of that piece alone; the rest is as far as the nearest of it.
 pub(super) fn reconstruct(
     clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
     before: &[Vec<f32>],
 ) -> Option<Shape> {
-    let (w, h) = (clip.width, clip.height);
-    let blocks = Blocks::around(clip, tracklet);
-    let grid = blocks.grid;
-    let inside = Inside::of(clip, tracklet);
-    let edges = factors(clip, tracklet, &inside, &blocks);
-    let frames = tracklet.parts.len();
-    let sensor: Vec<Vec<f32>> = (0..frames)
-        .map(|k| {
-            (0..grid.len())
-                .map(|g| {
-                    let (x, y) = blocks.pixel(g);
-                    if inside.at(k, x as f32, y as f32, w, h) {
-                        before[tracklet.first + k][y * w + x]
-                    } else {
-                        0.0
-                    }
-                })
-                .collect()
-        })
-        .collect();
-    let factors = silhouette::one_size(clip, tracklet, &sensor);
-    let sensor: Vec<Vec<f32>> = (sensor.into_iter().zip(factors))
-        .map(|(sensor, factor)| sensor.into_iter().map(|d| d * factor).collect())
-        .collect();
-    // Disparities count in units of the part's own, so that one prior fits near and far parts.
-    let values: Vec<f32> = sensor
-        .iter()
-        .flatten()
-        .copied()
-        .filter(|d| *d > 0.0)
-        .collect();
-    let unit = values.iter().sum::<f32>() / values.len().max(1) as f32;
-    if unit <= 0.0 || values.len() < LEAST_POINTS * frames {
-        return None;
-    }
-    let scaled = |camera: &Camera| {
-        let mut pose = camera.w2c();
-        pose.translation *= f64::from(unit);
-        pose
-    };
-    let sensor: Vec<Vec<f32>> = sensor
-        .into_iter()
-        .map(|s| s.into_iter().map(|d| d / unit).collect())
-        .collect();
-    let k = clip.cameras[tracklet.first].intrinsics;
-    let lens = Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64);
-    let [left, top] = blocks.corner;
-    let mut geometry = Geometry {
-        grid,
-        lens: Pinhole {
-            cx: lens.cx - left as f64,
-            cy: lens.cy - top as f64,
-            ..lens
-        },
-        poses: clip.cameras[tracklet.first..tracklet.first + frames]
-            .iter()
-            .map(scaled)
-            .collect(),
-        disparity: sensor
-            .iter()
-            .map(|s| s.iter().map(|d| if *d > 0.0 { *d } else { 1.0 }).collect())
-            .collect(),
-        sensor,
-    };
-    let eta = vec![vec![1.0f32; grid.len()]; frames];
-    let refs: Vec<&_> = edges.iter().collect();
-    let problem = Problem {
-        edges: &refs,
-        eta: &eta,
-    };
-    let run = |geometry: &mut Geometry<f32>, steps: &[(Free, usize, f64)]| {
-        let mut solved = false;
-        for &(free, iterations, tolerance) in steps {
-            let options = DbaOptions {
-                free,
-                iterations,
-                lm: 1e-4,
-                ep: 1e-4,
-                prior_alpha: Some(f64::from(PRIOR)),
-                cauchy_px: Some(tolerance * CAUCHY_PX),
-                min_depth: 0.1,
-                #[cfg(test)]
-                python_twin: false,
-            };
-            let report = adjust(geometry, &problem, 1..frames, &options).ok()?;
-            solved = report.failed < report.iterations;
-        }
-        solved.then_some(())
-    };
-    run(&mut geometry, &FROM_AFAR)?;
-    reversal::resolve(&mut geometry, &refs, clip.rate, CAUCHY_PX, |other| {
-        run(other, &FROM_NEARBY)
-    });
-    let mut disparity: Vec<Vec<f32>> = geometry
-        .disparity
-        .iter()
-        .zip(&geometry.sensor)
-        .map(|(d, s)| {
-            d.iter()
-                .zip(s)
-                .map(|(d, s)| if *s > 0.0 { d * unit } else { 0.0 })
-                .collect()
-        })
-        .collect();
+    let part = Part::of(clip, tracklet);
+    let start = Start::of(&part, before)?;
+    let mut edges = part.factors();
+    let (geometry, mut disparity) = start.adjust(&part, &edges, None)?;
     shrink_relief(clip, tracklet, &mut disparity);
+    let unit = f64::from(start.unit);
+    let whole = Shape {
+        blocks: part.blocks.clone(),
+        poses: poses(geometry, unit),
+        disparity,
+        whole: None,
+    };
+    let piece = pieces::largest_piece(&part).and_then(|piece| {
+        for edge in &mut edges {
+            for weight in &mut edge.weight {
+                let own = weight.iter_mut().zip(&piece[edge.source]);
+                own.for_each(|(weight, share)| *weight *= share);
+            }
+        }
+        start.adjust(&part, &edges, Some(&piece))
+    });
+    let Some((geometry, mut disparity)) = piece else {
+        return Some(whole);
+    };
+    let mut ratios: Vec<f32> = (disparity.iter().flatten())
+        .zip(whole.disparity.iter().flatten())
+        .filter(|(own, of_whole)| **own > 0.0 && **of_whole > 0.0)
+        .map(|(own, of_whole)| own / of_whole)
+        .collect();
+    let Some(ratio) = quantile(&mut ratios, 0.5) else {
+        return Some(whole);
+    };
+    relief::fill(&part, &mut disparity);
+    Some(Shape {
+        poses: poses(geometry, unit),
+        disparity,
+        whole: Some(Whole {
+            shape: Box::new(whole),
+            ratio,
+        }),
+        blocks: part.blocks,
+    })
+}
+
+/// Poses in the unit of the cameras.
+fn poses(geometry: Geometry<f32>, unit: f64) -> Vec<Se3<f64>> {
     let mut poses = geometry.poses;
     for pose in &mut poses {
-        pose.translation /= f64::from(unit);
+        pose.translation /= unit;
     }
-    Some(Shape {
-        blocks,
-        poses,
-        disparity,
-    })
+    poses
+}
+
+/// What an adjustment starts from: a flat part that moves as a static one would.
+struct Start {
+    geometry: Geometry<f32>,
+    /// Disparities count in units of the part's own, so that one prior fits near and far parts.
+    unit: f32,
+}
+
+impl Start {
+    fn of(part: &Part<'_>, before: &[Vec<f32>]) -> Option<Self> {
+        let (clip, blocks, frames) = (part.clip, &part.blocks, part.frames());
+        let (grid, first) = (blocks.grid, part.tracklet.first);
+        let suggested = |k: usize, g: usize| {
+            let (x, y) = blocks.pixel(g);
+            match part.has(k, g) {
+                true => before[first + k][y * clip.width + x],
+                false => 0.0,
+            }
+        };
+        let mut sensor: Vec<Vec<f32>> = (0..frames)
+            .map(|k| (0..grid.len()).map(|g| suggested(k, g)).collect())
+            .collect();
+        let factors = silhouette::one_size(clip, part.tracklet, &sensor);
+        for (sensor, factor) in sensor.iter_mut().zip(factors) {
+            sensor.iter_mut().for_each(|d| *d *= factor);
+        }
+        let known = || sensor.iter().flatten().filter(|d| **d > 0.0);
+        let count = known().count();
+        let unit = known().sum::<f32>() / count.max(1) as f32;
+        if unit <= 0.0 || count < LEAST_POINTS * frames {
+            return None;
+        }
+        sensor.iter_mut().flatten().for_each(|d| *d /= unit);
+        let scaled = |camera: &Camera| {
+            let mut pose = camera.w2c();
+            pose.translation *= f64::from(unit);
+            pose
+        };
+        let k = clip.cameras[first].intrinsics;
+        let lens = Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64);
+        let [left, top] = blocks.corner;
+        let geometry = Geometry {
+            grid,
+            lens: Pinhole {
+                cx: lens.cx - left as f64,
+                cy: lens.cy - top as f64,
+                ..lens
+            },
+            poses: clip.cameras[first..first + frames]
+                .iter()
+                .map(scaled)
+                .collect(),
+            disparity: sensor
+                .iter()
+                .map(|s| s.iter().map(|d| if *d > 0.0 { *d } else { 1.0 }).collect())
+                .collect(),
+            sensor,
+        };
+        Some(Self { geometry, unit })
+    }
+
+    /// Adjusts the part, or the piece that blocks belong to by these shares; with a piece, relief
+    /// is held by its variance. Returns the disparities, too, 0 where there is none.
+    fn adjust(
+        &self,
+        part: &Part<'_>,
+        edges: &[Factor<f32>],
+        piece: Option<&[Vec<f32>]>,
+    ) -> Option<(Geometry<f32>, Vec<Vec<f32>>)> {
+        let mut geometry = self.geometry.clone();
+        for (sensor, share) in geometry.sensor.iter_mut().zip(piece.into_iter().flatten()) {
+            let other = sensor.iter_mut().zip(share).filter(|(_, s)| **s <= 0.0);
+            other.for_each(|(sensor, _)| *sensor = 0.0);
+        }
+        let frames = part.frames();
+        let eta = vec![vec![1.0f32; geometry.grid.len()]; frames];
+        let edges: Vec<&_> = edges.iter().collect();
+        let problem = Problem {
+            edges: &edges,
+            eta: &eta,
+        };
+        let run = |geometry: &mut Geometry<f32>, steps: &[(Free, usize, f64)], prior: f64| {
+            let mut solved = false;
+            for &(free, iterations, tolerance) in steps {
+                let options = DbaOptions {
+                    free,
+                    iterations,
+                    lm: 1e-4,
+                    ep: 1e-4,
+                    prior_alpha: Some(prior),
+                    cauchy_px: Some(tolerance * CAUCHY_PX),
+                    min_depth: 0.1,
+                    #[cfg(test)]
+                    python_twin: false,
+                };
+                let report = adjust(geometry, &problem, 1..frames, &options).ok()?;
+                solved = report.failed < report.iterations;
+            }
+            solved.then_some(())
+        };
+        run(&mut geometry, &FROM_AFAR, PRIOR)?;
+        reversal::resolve(&mut geometry, &edges, part.clip.rate, CAUCHY_PX, |other| {
+            run(other, &FROM_NEARBY, PRIOR)
+        });
+        if piece.is_some() {
+            let prior = relief::prior(part, &geometry, &edges)?;
+            for _ in 0..ROUNDS {
+                relief::flatten(&mut geometry);
+                run(&mut geometry, &HELD, prior)?;
+            }
+            relief::agree(&mut geometry, &edges);
+        }
+        let disparity = (geometry.disparity.iter())
+            .zip(&geometry.sensor)
+            .map(|(d, sensor)| {
+                let own = |(d, s): (&f32, &f32)| if *s > 0.0 { d * self.unit } else { 0.0 };
+                d.iter().zip(sensor).map(own).collect()
+            })
+            .collect();
+        Some((geometry, disparity))
+    }
 }

@@ -18,6 +18,9 @@ const STANDING_SHARE: f32 = 0.3;
 /// Standard deviation of the logarithm of a scale by contact, where all frames agree: of outlines
 /// and shapes.
 const CONTACT_SIGMA: f64 = 0.06;
+/// Differences between frames up to this standard deviation are no heights: feet touch the ground
+/// one after the other, nearer and farther than the trunk.
+const UNSTEADY: f64 = 0.1;
 /// Probability that a part with ground under it stands there, and the range of logarithms over
 /// which it may be anywhere else.
 const STANDS: f64 = 0.85;
@@ -117,7 +120,7 @@ pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -
     } else {
         None
     };
-    let hinge = hinge::vote(clip, tracklet, shape)
+    let hinge = hinge(clip, tracklet, shape)
         .filter(|vote| vote.factor > f64::from(bound / OCCLUSION_RANGE));
     Some(Reading {
         typical,
@@ -126,14 +129,26 @@ pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -
     })
 }
 
-/// The scale by the ground under a part. Where its frames differ by more than outlines and shapes
-/// do, it hovers or leaps: every frame is then a lower bound, as far below the scale as it is above
-/// the ground, and the scale is above their median by about the spread of what is left (exactly so
-/// for heights with an exponential distribution, but for 3 %).
+/// The scale by a fixed point of the shape, or of the whole part: the shoulder of an arm that bends
+/// stays in place, the elbow between its pieces does not.
+fn hinge(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Vote> {
+    let whole = shape.whole.as_ref().and_then(|whole| {
+        let mut vote = hinge::vote(clip, tracklet, &whole.shape)?;
+        vote.factor /= f64::from(whole.ratio);
+        Some(vote)
+    });
+    let own = hinge::vote(clip, tracklet, shape);
+    (own.into_iter().chain(whole)).min_by(|a, b| a.sigma.total_cmp(&b.sigma))
+}
+
+/// The scale by the ground under a part. Where its frames differ by more than [`UNSTEADY`], it
+/// hovers or leaps: every frame is then a lower bound, as far below the scale as it is above the
+/// ground, and the scale is above their median by about the spread of what is left (exactly so for
+/// heights with an exponential distribution, but for 3 %).
 fn contact(standing: &mut [f32]) -> Option<Vote> {
     let vote = Vote::of_frames(standing, CONTACT_SIGMA)?;
     let spread = (vote.sigma.powi(2) - CONTACT_SIGMA.powi(2)).max(0.0).sqrt();
-    let height = (spread.powi(2) - CONTACT_SIGMA.powi(2)).max(0.0).sqrt();
+    let height = (spread.powi(2) - UNSTEADY.powi(2)).max(0.0).sqrt();
     Some(Vote {
         factor: vote.factor * height.exp(),
         ..vote

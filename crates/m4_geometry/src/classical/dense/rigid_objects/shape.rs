@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 /// Mean relief of things, in radii of their outlines (logarithm of depth over radius by distance):
 /// measured 0.2 to 0.4 on rendered ones.
-const USUAL_RELIEF: f32 = 0.3;
+pub(super) const USUAL_RELIEF: f32 = 0.3;
 /// Largest share of the relief that is kept: adjustment of small regions over few frames
 /// exaggerates it, and the slope of the whole.
 const MOST_SHARE: f32 = 0.5;
@@ -22,6 +22,15 @@ pub(super) struct Shape {
     pub poses: Vec<Se3<f64>>,
     /// `[blocks]` by frame; 0 where nothing is known.
     pub disparity: Vec<Vec<f32>>,
+    /// The part taken for one rigid body, where this is the shape of a piece of it.
+    pub whole: Option<Whole>,
+}
+
+/// A part taken for one rigid body.
+pub(super) struct Whole {
+    pub shape: Box<Shape>,
+    /// Disparities of the piece over those of the whole.
+    pub ratio: f32,
 }
 
 impl Shape {

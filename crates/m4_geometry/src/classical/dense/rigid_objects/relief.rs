@@ -1,0 +1,275 @@
+//! The relief of a rigid piece: held to a plane by its variance where motion shows it weakly, and
+//! carried on to what is not rigid.
+
+use super::BLOCK_PX;
+use super::edges::Part;
+use super::residual::{offset_px, ray_at};
+use super::shape::USUAL_RELIEF;
+use super::silhouette::radius_px;
+use crate::classical::dense::working::pixel_at;
+use crate::dba::{Factor, Geometry, WEIGHT_SCALE};
+use m4_core::quantile;
+
+/// How many times the prior of relief counts: noise of the flow is alike in neighbouring blocks and
+/// over the spans of an edge. On nine scenes 1 and 4 are as good.
+const ALIKE: f64 = 2.0;
+/// Median length of a two-dimensional residual of standard deviation 1.
+const MEDIAN_LENGTH: f64 = 1.18;
+/// Blocks of which an edge has less are not counted.
+const LEAST_WEIGHT: f32 = 0.1;
+/// Time over which what is no piece is averaged, on each side, seconds.
+const AROUND_S: f64 = 1.0 / 6.0;
+/// How often disparities are averaged along the edges, and the largest change (logarithm).
+const AGREEMENTS: usize = 4;
+const MOST_CHANGE: f32 = 0.3;
+/// Neighbours count by one over their distance to this power: what hangs on a piece is as far as
+/// the nearest of it, and what is far from it is as far as its mean.
+const FADING: f32 = 3.0;
+
+/// Weight of a prior that holds each disparity (in the part's own unit) to that of a plane: noise
+/// of the flow, from the residuals, over the usual relief of a thing of this size.
+pub(super) fn prior(
+    part: &Part<'_>,
+    geometry: &Geometry<f32>,
+    edges: &[&Factor<f32>],
+) -> Option<f64> {
+    let parts = &part.tracklet.parts;
+    let radius: f64 = parts.iter().map(|p| radius_px(p.len())).sum::<f64>() / parts.len() as f64;
+    let camera = part.clip.cameras.get(part.tracklet.first)?;
+    let usual = f64::from(USUAL_RELIEF) * radius / camera.intrinsics.fx;
+    Some(ALIKE * WEIGHT_SCALE * (noise_px(geometry, edges)? / usual).powi(2))
+}
+
+/// Standard deviation of the residuals, pixels of the grid: the median over edges.
+fn noise_px(geometry: &Geometry<f32>, edges: &[&Factor<f32>]) -> Option<f64> {
+    let of_edge = |edge: &&Factor<f32>| {
+        let relative = geometry.relative(edge.source, edge.target);
+        let mut off: Vec<f64> = (0..geometry.grid.len())
+            .filter(|&g| edge.weight[0][g] >= LEAST_WEIGHT && geometry.sensor[edge.source][g] > 0.0)
+            .map(|g| {
+                let [x, y] = offset_px(geometry, edge, &relative, g);
+                x.hypot(y)
+            })
+            .collect();
+        quantile(&mut off, 0.5)
+    };
+    let mut all: Vec<f64> = edges.iter().filter_map(of_edge).collect();
+    Some(quantile(&mut all, 0.5)? / MEDIAN_LENGTH)
+}
+
+/// Sets the prior of each frame to a plane at its median disparity.
+pub(super) fn flatten(geometry: &mut Geometry<f32>) {
+    for (sensor, disparity) in geometry.sensor.iter_mut().zip(&geometry.disparity) {
+        let own = || {
+            disparity
+                .iter()
+                .zip(sensor.iter())
+                .filter(|(_, s)| **s > 0.0)
+        };
+        let mut values: Vec<f32> = own().map(|(d, _)| *d).collect();
+        let Some(median) = quantile(&mut values, 0.5) else {
+            continue;
+        };
+        sensor
+            .iter_mut()
+            .filter(|s| **s > 0.0)
+            .for_each(|s| *s = median);
+    }
+}
+
+/// Gives the piece one shape: each disparity becomes the mean of those of the same place in the
+/// frames of its edges, carried by the motion of the piece.
+pub(super) fn agree(geometry: &mut Geometry<f32>, edges: &[&Factor<f32>]) {
+    let grid = geometry.grid;
+    for _ in 0..AGREEMENTS {
+        let mut sums = geometry.disparity.clone();
+        let mut weights: Vec<Vec<f32>> = sums.iter().map(|d| vec![1.0; d.len()]).collect();
+        for edge in edges {
+            let back = geometry.relative(edge.target, edge.source);
+            for g in 0..grid.len() {
+                let weight = edge.weight[0][g];
+                if weight < LEAST_WEIGHT || geometry.sensor[edge.source][g] <= 0.0 {
+                    continue;
+                }
+                let [x, y] = [edge.target_px[0][g], edge.target_px[1][g]];
+                let Some(there) = pixel_at(grid.width, grid.height, x, y) else {
+                    continue;
+                };
+                if geometry.sensor[edge.target][there] <= 0.0 {
+                    continue;
+                }
+                let d = geometry.disparity[edge.target][there];
+                let ray = ray_at(geometry, f64::from(x), f64::from(y));
+                let p = back.rotation * ray + back.translation * f64::from(d);
+                let carried = d / p.z as f32;
+                let own = geometry.disparity[edge.source][g];
+                if p.z > 0.0 && (carried / own).ln().abs() < MOST_CHANGE {
+                    sums[edge.source][g] += weight * carried;
+                    weights[edge.source][g] += weight;
+                }
+            }
+        }
+        for ((disparity, sum), weight) in (geometry.disparity.iter_mut()).zip(&sums).zip(&weights) {
+            for ((d, sum), weight) in disparity.iter_mut().zip(sum).zip(weight) {
+                *d = sum / weight;
+            }
+        }
+    }
+}
+
+/// Gives every block of the part a disparity: those without one, 0, that of the piece, near blocks
+/// the more; averaged over a sixth of a second before and after, so that blocks at the edge of the
+/// piece stay at one distance.
+pub(super) fn fill(part: &Part<'_>, disparity: &mut [Vec<f32>]) {
+    let piece = disparity.to_vec();
+    for (k, disparity) in disparity.iter_mut().enumerate() {
+        fill_frame(part, k, disparity);
+    }
+    let filled = disparity.to_vec();
+    let (grid, [left, top]) = (part.blocks.grid, part.blocks.corner.map(|c| c as f32));
+    let block = BLOCK_PX as f32;
+    let reach = part.clip.rate.frames(AROUND_S);
+    for (k, disparity) in disparity.iter_mut().enumerate() {
+        let mut weights = vec![1.0f32; disparity.len()];
+        for later in [true, false] {
+            part.walk(k, later, reach, |step| {
+                for g in (0..weights.len()).filter(|&g| step.miss[g].is_finite()) {
+                    let (x, y) = (step.px[g] / block - left, step.py[g] / block - top);
+                    let there = pixel_at(grid.width, grid.height, x, y)
+                        .map_or(0.0, |there| filled[step.frame][there]);
+                    if piece[k][g] <= 0.0 && there > 0.0 {
+                        disparity[g] += there;
+                        weights[g] += 1.0;
+                    }
+                }
+            });
+        }
+        disparity
+            .iter_mut()
+            .zip(&weights)
+            .for_each(|(d, weight)| *d /= weight);
+    }
+}
+
+fn fill_frame(part: &Part<'_>, k: usize, disparity: &mut [f32]) {
+    let width = part.blocks.grid.width;
+    let place = |g: usize| [(g % width) as f32, (g / width) as f32];
+    let known: Vec<([f32; 2], f32)> = (0..disparity.len())
+        .filter(|&g| disparity[g] > 0.0)
+        .map(|g| (place(g), disparity[g]))
+        .collect();
+    if known.is_empty() {
+        return;
+    }
+    for g in 0..disparity.len() {
+        if disparity[g] > 0.0 || !part.has(k, g) {
+            continue;
+        }
+        let [x, y] = place(g);
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for ([u, v], d) in &known {
+            let near = (u - x).hypot(v - y).powf(-FADING);
+            sum += near * d;
+            weight += near;
+        }
+        disparity[g] = sum / weight;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Tracklet;
+    use super::{Factor, Geometry, Part, agree, fill};
+    use crate::classical::dense::working::ClipData;
+    use crate::dba::{Grid, Pinhole};
+    use crate::flow::FlowPair;
+    use m4_core::{Flow, Se3};
+
+    const SIDE: usize = 40;
+    const FRAMES: usize = 3;
+
+    #[test]
+    fn a_piece_gets_the_mean_shape_of_its_frames() {
+        let (n, noise) = (16, [0.9f32, 1.0, 1.1]);
+        let edge = |(source, target): (usize, usize)| Factor {
+            source,
+            target,
+            target_px: [
+                (0..n).map(|g| (g % 4) as f32).collect(),
+                (0..n).map(|g| (g / 4) as f32).collect(),
+            ],
+            weight: [vec![1.0; n], vec![1.0; n]],
+        };
+        let edges: Vec<Factor<f32>> = [(0, 1), (1, 0), (1, 2), (2, 1), (0, 2), (2, 0)]
+            .map(edge)
+            .into();
+        let mut sensor = vec![vec![1.0f32; n]; FRAMES];
+        sensor[0][3] = 0.0;
+        let mut geometry = Geometry {
+            grid: Grid {
+                width: 4,
+                height: 4,
+            },
+            lens: Pinhole {
+                fx: 10.0,
+                fy: 10.0,
+                cx: 1.5,
+                cy: 1.5,
+            },
+            poses: vec![Se3::identity(); FRAMES],
+            disparity: noise.iter().map(|d| vec![*d; n]).collect(),
+            sensor,
+        };
+        agree(&mut geometry, &edges.iter().collect::<Vec<_>>());
+        for disparity in &geometry.disparity {
+            assert!((disparity[5] - 1.0).abs() < 1e-3, "{disparity:?}");
+        }
+        // What is no piece is left alone, and does not count.
+        assert_eq!(geometry.disparity[0][3], 0.9);
+        assert!((geometry.disparity[1][3] - 1.05).abs() < 1e-3);
+    }
+
+    #[test]
+    fn what_is_no_piece_is_as_far_as_the_nearest_of_it() {
+        let still = || Flow {
+            width: SIDE,
+            height: SIDE,
+            u: vec![0.0; SIDE * SIDE],
+            v: vec![0.0; SIDE * SIDE],
+        };
+        let data = ClipData {
+            size: (SIDE, SIDE),
+            cameras: Vec::new(),
+            dynamic: Vec::new(),
+            disparity: Vec::new(),
+            flows: (1..FRAMES)
+                .map(|_| FlowPair::exact(still(), still()))
+                .collect(),
+        };
+        let tracklet = Tracklet {
+            first: 0,
+            parts: vec![(0..(SIDE * SIDE) as u32).collect(); FRAMES],
+        };
+        let clip = data.clip();
+        let part = Part::of(&clip, &tracklet);
+        let width = part.blocks.grid.width;
+        // Near on the left, far on the right, unknown below; the frame in between has no value on
+        // the left.
+        let of_frame = |k: usize| -> Vec<f32> {
+            let value = |g: usize| match (g % width, g / width) {
+                (_, 3..) => 0.0,
+                (0..5, _) if k == 1 => 0.0,
+                (0..5, _) => 2.0,
+                _ => 1.0,
+            };
+            (0..part.blocks.grid.len()).map(value).collect()
+        };
+        let mut disparity: Vec<Vec<f32>> = (0..FRAMES).map(of_frame).collect();
+        fill(&part, &mut disparity);
+        let [left, right] = [0, width - 1].map(|x| disparity[0][4 * width + x]);
+        assert!(left > 1.5 && right < 1.5 && right > 1.0, "{left} {right}");
+        assert_eq!(disparity[0][0], 2.0);
+        let between = disparity[1][0];
+        assert!(between > 1.2 && between < 2.0, "{between}");
+    }
+}
