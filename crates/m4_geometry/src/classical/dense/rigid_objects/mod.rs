@@ -7,6 +7,8 @@
 //!             -> edges: where its pixels are in other frames; silhouette: how near it is by its size
 //!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale;
 //!                reversal: frames that took the mirror image are turned back
+//!             -> pieces: the largest piece that is rigid, by the space of its paths; it is adjusted alone, and
+//!                relief carries its shape on to the rest
 //!             -> scale: the one number that is left
 //!             -> ballistic: objects in flight share one acceleration
 //! ```
