@@ -18,6 +18,8 @@ const SAMPLE: usize = 5;
 const NEAR: f64 = 0.7;
 /// Fewest paths of a piece.
 const LEAST_PATHS: usize = 12;
+/// Most paths that a space is fitted to; of more, every nth is taken.
+const MOST_PATHS: usize = 500;
 /// Least share of the part that a piece has.
 const LEAST_SHARE: f64 = 0.15;
 /// Share from which a block is followed to the next frame.
@@ -107,15 +109,17 @@ impl<'a> Paths<'a> {
         }
     }
 
-    /// The paths that are known in all frames.
-    fn whole(&self) -> Vec<&[f64]> {
+    /// Paths that are known in all frames, evenly chosen, and of how many blocks each is one.
+    fn whole(&self) -> (Vec<&[f64]>, usize) {
         let known = |path: &&[f64]| path.iter().all(|v| !v.is_nan());
-        self.paths.iter().map(Vec::as_slice).filter(known).collect()
+        let all: Vec<&[f64]> = self.paths.iter().map(Vec::as_slice).filter(known).collect();
+        let every = all.len().div_ceil(MOST_PATHS).max(1);
+        (all.into_iter().step_by(every).collect(), every)
     }
 
     /// The space that most paths around frame `k` lie in, and the share of the part in it.
     fn search(&self, k: usize) -> Option<(f64, Space)> {
-        let whole = self.whole();
+        let (whole, every) = self.whole();
         if whole.len() < LEAST_PATHS {
             return None;
         }
@@ -143,7 +147,10 @@ impl<'a> Paths<'a> {
             }
         }
         let space = best?.1.settle(&whole, LEAST_PATHS)?;
-        Some((total(&space) / self.paths.len() as f64, space))
+        Some((
+            total(&space) * every as f64 / self.paths.len() as f64,
+            space,
+        ))
     }
 
     /// How far each block belongs to a body.
@@ -166,7 +173,7 @@ impl<'a> Paths<'a> {
 
     /// The body of the blocks that belonged to it in another frame.
     fn follow(&self, before: usize, shares: &[f32]) -> Option<Space> {
-        let whole = self.whole();
+        let (whole, _) = self.whole();
         let own: Vec<&[f64]> = (whole.iter().copied())
             .filter(|path| {
                 self.block(path, before)

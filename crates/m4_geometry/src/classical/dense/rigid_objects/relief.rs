@@ -25,6 +25,8 @@ const MOST_CHANGE: f32 = 0.3;
 /// Neighbours count by one over their distance to this power: what hangs on a piece is as far as
 /// the nearest of it, and what is far from it is as far as its mean.
 const FADING: f32 = 3.0;
+/// Most blocks of a piece that others are filled from; of more, every nth is taken.
+const MOST_BLOCKS: usize = 500;
 
 /// Weight of a prior that holds each disparity (in the part's own unit) to that of a plane: noise
 /// of the flow, from the residuals, over the usual relief of a thing of this size.
@@ -154,9 +156,12 @@ pub(super) fn fill(part: &Part<'_>, disparity: &mut [Vec<f32>]) {
 fn fill_frame(part: &Part<'_>, k: usize, disparity: &mut [f32]) {
     let width = part.blocks.grid.width;
     let place = |g: usize| [(g % width) as f32, (g / width) as f32];
-    let known: Vec<([f32; 2], f32)> = (0..disparity.len())
+    let own: Vec<usize> = (0..disparity.len())
         .filter(|&g| disparity[g] > 0.0)
-        .map(|g| (place(g), disparity[g]))
+        .collect();
+    let known: Vec<([f32; 2], f32)> = (own.iter())
+        .step_by(own.len().div_ceil(MOST_BLOCKS).max(1))
+        .map(|&g| (place(g), disparity[g]))
         .collect();
     if known.is_empty() {
         return;
