@@ -184,7 +184,7 @@ fn fill_frame(part: &Part<'_>, k: usize, disparity: &mut [f32]) {
 #[cfg(test)]
 mod tests {
     use super::super::Tracklet;
-    use super::{Factor, Geometry, Part, agree, fill};
+    use super::{Factor, Geometry, Part, agree, fill, flatten, noise_px};
     use crate::classical::dense::working::ClipData;
     use crate::dba::{Grid, Pinhole};
     use crate::flow::FlowPair;
@@ -193,24 +193,27 @@ mod tests {
     const SIDE: usize = 40;
     const FRAMES: usize = 3;
 
-    #[test]
-    fn a_piece_gets_the_mean_shape_of_its_frames() {
-        let (n, noise) = (16, [0.9f32, 1.0, 1.1]);
-        let edge = |(source, target): (usize, usize)| Factor {
+    /// Blocks of a frame.
+    const BLOCKS: usize = 16;
+
+    /// The edge of a part that does not move, with flow that is off by this.
+    fn edge((source, target): (usize, usize), off_px: f32) -> Factor<f32> {
+        Factor {
             source,
             target,
             target_px: [
-                (0..n).map(|g| (g % 4) as f32).collect(),
-                (0..n).map(|g| (g / 4) as f32).collect(),
+                (0..BLOCKS).map(|g| (g % 4) as f32 + off_px).collect(),
+                (0..BLOCKS).map(|g| (g / 4) as f32).collect(),
             ],
-            weight: [vec![1.0; n], vec![1.0; n]],
-        };
-        let edges: Vec<Factor<f32>> = [(0, 1), (1, 0), (1, 2), (2, 1), (0, 2), (2, 0)]
-            .map(edge)
-            .into();
-        let mut sensor = vec![vec![1.0f32; n]; FRAMES];
+            weight: [vec![1.0; BLOCKS], vec![1.0; BLOCKS]],
+        }
+    }
+
+    /// A plane that faces the camera, with these disparities by frame; one block is no piece.
+    fn geometry(disparity: &[f32]) -> Geometry<f32> {
+        let mut sensor = vec![vec![1.0f32; BLOCKS]; disparity.len()];
         sensor[0][3] = 0.0;
-        let mut geometry = Geometry {
+        Geometry {
             grid: Grid {
                 width: 4,
                 height: 4,
@@ -221,10 +224,32 @@ mod tests {
                 cx: 1.5,
                 cy: 1.5,
             },
-            poses: vec![Se3::identity(); FRAMES],
-            disparity: noise.iter().map(|d| vec![*d; n]).collect(),
+            poses: vec![Se3::identity(); disparity.len()],
+            disparity: disparity.iter().map(|d| vec![*d; BLOCKS]).collect(),
             sensor,
-        };
+        }
+    }
+
+    #[test]
+    fn noise_is_that_of_the_residuals_and_the_prior_follows_the_piece() {
+        let mut geometry = geometry(&[1.0, 1.0]);
+        let edges = [edge((0, 1), 0.118), edge((1, 0), 0.118)];
+        let noise = noise_px(&geometry, &edges.iter().collect::<Vec<_>>()).unwrap();
+        assert!((noise - 0.1).abs() < 1e-4, "{noise}");
+        assert_eq!(noise_px(&geometry, &[]), None);
+        geometry.disparity[1][..4].copy_from_slice(&[9.0, 0.5, 0.8, 9.0]);
+        geometry.disparity[1][4..].fill(0.7);
+        flatten(&mut geometry);
+        assert_eq!(geometry.sensor[1], vec![0.7; BLOCKS]);
+        assert_eq!((geometry.sensor[0][0], geometry.sensor[0][3]), (1.0, 0.0));
+    }
+
+    #[test]
+    fn a_piece_gets_the_mean_shape_of_its_frames() {
+        let edges: Vec<Factor<f32>> = [(0, 1), (1, 0), (1, 2), (2, 1), (0, 2), (2, 0)]
+            .map(|frames| edge(frames, 0.0))
+            .into();
+        let mut geometry = geometry(&[0.9, 1.0, 1.1]);
         agree(&mut geometry, &edges.iter().collect::<Vec<_>>());
         for disparity in &geometry.disparity {
             assert!((disparity[5] - 1.0).abs() < 1e-3, "{disparity:?}");

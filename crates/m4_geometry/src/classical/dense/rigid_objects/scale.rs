@@ -120,7 +120,7 @@ pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -
     } else {
         None
     };
-    let hinge = hinge(clip, tracklet, shape)
+    let hinge = fixed_point(clip, tracklet, shape)
         .filter(|vote| vote.factor > f64::from(bound / OCCLUSION_RANGE));
     Some(Reading {
         typical,
@@ -131,7 +131,7 @@ pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -
 
 /// The scale by a fixed point of the shape, or of the whole part: the shoulder of an arm that bends
 /// stays in place, the elbow between its pieces does not.
-fn hinge(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Vote> {
+fn fixed_point(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Vote> {
     let whole = shape.whole.as_ref().and_then(|whole| {
         let mut vote = hinge::vote(clip, tracklet, &whole.shape)?;
         vote.factor /= f64::from(whole.ratio);
