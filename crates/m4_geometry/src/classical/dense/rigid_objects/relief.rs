@@ -11,7 +11,7 @@ use crate::dba::{Factor, Geometry, WEIGHT_SCALE};
 use m4_core::quantile;
 
 /// How many times the prior of relief counts: noise of the flow is alike in neighbouring blocks and
-/// over the spans of an edge. On nine scenes 1 and 4 are as good.
+/// over the spans of an edge. On eight of nine scenes 1 and 4 are as good.
 const ALIKE: f64 = 2.0;
 /// Median length of a two-dimensional residual of standard deviation 1.
 const MEDIAN_LENGTH: f64 = 1.18;
