@@ -28,53 +28,77 @@ pub(crate) fn bilinear_rgb(
 pub(crate) struct FlowPair {
     pub forward: Flow,
     pub backward: Flow,
-    /// `[height][width]`: see [`round_trip_px`].
-    pub forward_round_trip: Vec<f32>,
-    pub backward_round_trip: Vec<f32>,
 }
 
 impl FlowPair {
-    /// The flow of frame `i` to the next frame or, not `later`, to the one before, and its round
-    /// trip; `None` past the ends.
-    pub fn step(flows: &[Self], i: usize, later: bool) -> Option<(&Flow, &[f32])> {
-        if later {
-            flows
-                .get(i)
-                .map(|pair| (&pair.forward, pair.forward_round_trip.as_slice()))
-        } else {
-            flows
-                .get(i.checked_sub(1)?)
-                .map(|pair| (&pair.backward, pair.backward_round_trip.as_slice()))
-        }
-    }
-
-    /// Exact flow, both ways.
-    #[cfg(test)]
-    pub fn exact(forward: Flow, backward: Flow) -> Self {
-        let [forward_round_trip, backward_round_trip] =
-            [&forward, &backward].map(|flow| vec![0.0; flow.u.len()]);
-        Self {
-            forward,
-            backward,
-            forward_round_trip,
-            backward_round_trip,
-        }
-    }
-
-    /// Of flow both ways, of one size.
-    pub fn of(forward: Flow, backward: Flow) -> Self {
-        Self {
-            forward_round_trip: round_trip_px(&forward, &backward),
-            backward_round_trip: round_trip_px(&backward, &forward),
-            forward,
-            backward,
-        }
-    }
-
     /// By [`InverseSearch`].
     pub fn between(a: &ScaledFrame, b: &ScaledFrame) -> Self {
         let (forward, backward) = InverseSearch.both(a, b);
-        Self::of(forward, backward)
+        Self { forward, backward }
+    }
+
+    /// The flow of frame `i` to the next frame or, not `later`, to the one before; `None` past the
+    /// ends.
+    pub fn step(flows: &[Self], i: usize, later: bool) -> Option<Way<'_>> {
+        if later {
+            flows.get(i).map(Self::there)
+        } else {
+            flows.get(i.checked_sub(1)?).map(Self::back)
+        }
+    }
+
+    /// The same on images of another size, columns and rows.
+    pub fn resized(self, (width, height): (usize, usize)) -> Self {
+        if (self.forward.width, self.forward.height) == (width, height) {
+            return self;
+        }
+        Self {
+            forward: self.forward.resized(width, height),
+            backward: self.backward.resized(width, height),
+        }
+    }
+
+    /// From the first frame to the second.
+    pub fn there(&self) -> Way<'_> {
+        Way {
+            flow: &self.forward,
+            back: &self.backward,
+        }
+    }
+
+    /// From the second frame to the first.
+    pub fn back(&self) -> Way<'_> {
+        Way {
+            flow: &self.backward,
+            back: &self.forward,
+        }
+    }
+}
+
+/// Flow of a frame to another, and back from there.
+#[derive(Clone, Copy)]
+pub(crate) struct Way<'a> {
+    pub flow: &'a Flow,
+    back: &'a Flow,
+}
+
+impl Way<'_> {
+    /// How far pixel `i` lands from where it started after going there and back, pixels; infinite
+    /// where it leaves the image.
+    pub fn round_trip_px(&self, i: usize) -> f32 {
+        let Flow { width, height, .. } = *self.flow;
+        let (u, v) = (self.flow.u[i], self.flow.v[i]);
+        // 32 bits are divided several times faster than 64.
+        let (column, row) = (i as u32 % width as u32, i as u32 / width as u32);
+        let (x, y) = (column as f32 + u, row as f32 + v);
+        let inside =
+            (0.0..=(width - 1) as f32).contains(&x) && (0.0..=(height - 1) as f32).contains(&y);
+        if !inside {
+            return f32::INFINITY;
+        }
+        let (back_u, back_v) = self.back.at(x, y);
+        let (x, y) = (u + back_u, v + back_v);
+        (x * x + y * y).sqrt()
     }
 }
 
@@ -96,28 +120,6 @@ fn coarse_to_fine(a: &[Level], b: &[Level]) -> Flow {
         flow = Some(fine);
     }
     flow.unwrap_or_default()
-}
-
-/// How far a pixel lands from where it started after going there and back, pixels; infinite
-/// outside.
-pub(crate) fn round_trip_px(forward: &Flow, backward: &Flow) -> Vec<f32> {
-    let (w, h) = (forward.width, forward.height);
-    let mut out = vec![0.0; w * h];
-    for y in 0..h {
-        for x in 0..w {
-            let i = y * w + x;
-            let (qx, qy) = (x as f32 + forward.u[i], y as f32 + forward.v[i]);
-            let inside = qx >= 0.0 && qy >= 0.0 && qx <= (w - 1) as f32 && qy <= (h - 1) as f32;
-            out[i] = if inside {
-                let (u, v) = backward.at(qx, qy);
-                let (x, y) = (forward.u[i] + u, forward.v[i] + v);
-                (x * x + y * y).sqrt()
-            } else {
-                f32::INFINITY
-            };
-        }
-    }
-    out
 }
 
 /// An image at another size, not larger than its own, as flow is measured on it.
@@ -160,7 +162,7 @@ impl InverseSearch {
 
 #[cfg(test)]
 mod tests {
-    use super::{flow, pyramid, round_trip_px};
+    use super::{Flow, FlowPair, flow, pyramid};
 
     const W: usize = 96;
     const H: usize = 72;
@@ -189,14 +191,17 @@ mod tests {
             b.push(gain * texture(bx, by));
         }
         let (a, b) = (pyramid(W, H, &a), pyramid(W, H, &b));
-        let (forward, backward) = (flow(&a, &b), flow(&b, &a));
-        let trip = round_trip_px(&forward, &backward);
+        let pair = FlowPair {
+            forward: flow(&a, &b),
+            backward: flow(&b, &a),
+        };
+        let forward = &pair.forward;
         let (mut sum, mut trips, mut count) = (0.0, 0.0, 0.0);
         for y in 12..H - 12 {
             for x in 12..W - 12 {
                 let (u, v) = motion(x as f32, y as f32);
                 sum += (forward.u[y * W + x] - u).hypot(forward.v[y * W + x] - v);
-                trips += trip[y * W + x];
+                trips += pair.there().round_trip_px(y * W + x);
                 count += 1.0;
             }
         }
@@ -222,6 +227,23 @@ mod tests {
         ] {
             assert!(error < most && trip < most_trip, "{what}: {error} {trip}");
         }
+    }
+
+    #[test]
+    fn a_round_trip_misses_by_what_both_ways_differ_and_is_infinite_outside() {
+        let even = |u: f32, v: f32| Flow {
+            width: 4,
+            height: 3,
+            u: vec![u; 12],
+            v: vec![v; 12],
+        };
+        let pair = FlowPair {
+            forward: even(2.0, 0.0),
+            backward: even(1.0, -4.0),
+        };
+        assert_eq!(pair.there().round_trip_px(1), 5.0);
+        assert_eq!(pair.there().round_trip_px(2), f32::INFINITY);
+        assert_eq!(pair.back().round_trip_px(0), f32::INFINITY);
     }
 
     #[test]

@@ -2,9 +2,9 @@
 //! followed: flow and depth of the pixels that move, and nothing of the others.
 
 use super::TrackError;
-use crate::flow::{FlowPair, ScaledFrame};
+use crate::flow::{FlowPair, ScaledFrame, Way};
 use crate::resample::{resize_area, working_size};
-use m4_core::{Camera, Capture, DepthMap, Flow, Mask, Plane, RgbImage};
+use m4_core::{Camera, Capture, DepthMap, Mask, Plane, RgbImage};
 
 /// One frame with its geometry, all planes of the size of the camera's image.
 #[derive(Debug, Clone)]
@@ -169,13 +169,10 @@ pub(super) fn dynamic_disparity(frame: &PosedFrame) -> Sparse<f32> {
 const ROUND_TRIP_PX: f32 = 1.0;
 
 /// Flow of pixels that `moves` and whose round trip is at most [`ROUND_TRIP_PX`].
-pub(crate) fn sparse_flow(
-    flow: &Flow,
-    trip: &[f32],
-    moves: impl Fn(usize) -> bool,
-) -> Sparse<[f32; 2]> {
+pub(crate) fn sparse_flow(way: Way<'_>, moves: impl Fn(usize) -> bool) -> Sparse<[f32; 2]> {
+    let flow = way.flow;
     Sparse::new(flow.width, flow.height, |i| {
-        (moves(i) && trip[i] <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]])
+        (moves(i) && way.round_trip_px(i) <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]])
     })
 }
 
@@ -185,8 +182,8 @@ pub(super) fn sparse_flow_pair([a, b]: [&PosedFrame; 2]) -> [Sparse<[f32; 2]>; 2
     let pair = FlowPair::between(&from, &to);
     let moves = |f: &PosedFrame, i: usize| f.moving.data()[i] > 0;
     [
-        sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(a, i)),
-        sparse_flow(&pair.backward, &pair.backward_round_trip, |i| moves(b, i)),
+        sparse_flow(pair.there(), |i| moves(a, i)),
+        sparse_flow(pair.back(), |i| moves(b, i)),
     ]
 }
 

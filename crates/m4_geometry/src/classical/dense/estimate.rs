@@ -94,7 +94,7 @@ pub fn estimate(
     let flows = try_each(count - 1, "computing flow", progress, |i| {
         let both = (sources.flow)(i, &working[i], &working[i + 1]);
         let (forward, backward) = both.map_err(|source| DenseError::Flow { frame: i, source })?;
-        Ok(FlowPair::of(forward, backward))
+        Ok(FlowPair { forward, backward })
     })?;
     let points = sparse_points(sparse, w, h);
     let shots = each(count, "preparing frames", progress, |i| {

@@ -156,22 +156,12 @@ impl Segmentation<'_> {
                 .collect::<DepthMap>()
         })?;
         drop(start);
-        let merged = self.each("merging depth", |i| {
-            fusion::fuse(
-                self.shots,
-                cameras,
-                &refined,
-                &at(&keys, i, &fusion::PARALLAX_PX, 0),
-                i,
-            )
-        })?;
-        drop(refined);
-        self.each("filling depth", |i| {
-            let smoother = self.smoother(i);
-            let mut fused = merged[i].clone();
+        self.each("merging depth", |i| {
+            let others = at(&keys, i, &fusion::PARALLAX_PX, 0);
+            let mut fused = fusion::fuse(self.shots, cameras, &refined, &others, i);
             self.mono.impose(i, &mut fused, Some(&dynamic[i]));
             let fused = self.mono.with_prior(i, &fused, Some(&dynamic[i]));
-            static_depth::fill_planes(&self.shots[i], smoother, &fused, Some(&dynamic[i]))
+            static_depth::fill_planes(&self.shots[i], self.smoother(i), &fused, Some(&dynamic[i]))
         })
     }
 

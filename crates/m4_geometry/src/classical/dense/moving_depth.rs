@@ -155,7 +155,10 @@ mod tests {
             ..Flow::zero(W, H)
         };
         let flows: Vec<FlowPair> = (0..4)
-            .map(|_| FlowPair::exact(flow(2.0), flow(-2.0)))
+            .map(|_| FlowPair {
+                forward: flow(2.0),
+                backward: flow(-2.0),
+            })
             .collect();
         let out = place(&dynamic, &background, &flows);
         let at = |k: usize| out[k][6 * W + 6 + 2 * k];

@@ -10,7 +10,7 @@ pub(super) struct Step {
     pub pixel: usize,
     pub other_frame: usize,
     pub other_pixel: usize,
-    /// See [`crate::flow::round_trip_px`].
+    /// See [`Way::round_trip_px`](crate::flow::Way::round_trip_px).
     pub round_trip_px: f32,
 }
 
@@ -75,10 +75,10 @@ impl<T: Fn(&Step) -> f32 + Sync> Along<'_, T> {
             sum: self.values[i].clone(),
             weight: vec![1.0; self.values[i].len()],
         };
-        let (Some(last), Some((flow, trip))) = (last, FlowPair::step(self.flows, i, backward))
-        else {
+        let (Some(last), Some(way)) = (last, FlowPair::step(self.flows, i, backward)) else {
             return running;
         };
+        let flow = way.flow;
         let (w, h) = (self.width, self.values[i].len() / self.width);
         let other_frame = if backward { i + 1 } else { i - 1 };
         let rows = running
@@ -96,7 +96,7 @@ impl<T: Fn(&Step) -> f32 + Sync> Along<'_, T> {
                     pixel,
                     other_frame,
                     other_pixel,
-                    round_trip_px: trip[pixel],
+                    round_trip_px: way.round_trip_px(pixel),
                 };
                 let share = self.decay * (self.trust)(&step);
                 *sum += share * last.sum[other_pixel];
@@ -121,7 +121,10 @@ mod tests {
             ..Flow::zero(w, 2)
         };
         let flows: Vec<FlowPair> = (1..n)
-            .map(|_| FlowPair::exact(flow(1.0), flow(-1.0)))
+            .map(|_| FlowPair {
+                forward: flow(1.0),
+                backward: flow(-1.0),
+            })
             .collect();
         let mut values = vec![vec![0.0f32; w * 2]; n];
         values[2][4] = 1.0;

@@ -60,14 +60,8 @@ fn strip(clip: &WorkingClip<'_>) -> Strip {
     let moves = |frame: usize, i: usize| clip.dynamic[frame][i] > 0;
     let dynamic =
         |frame: usize| Sparse::new(w, h, |i| moves(frame, i).then(|| clip.disparity[frame][i]));
-    let forward = |(t, pair): (usize, &FlowPair)| {
-        sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(t, i))
-    };
-    let backward = |(t, pair): (usize, &FlowPair)| {
-        sparse_flow(&pair.backward, &pair.backward_round_trip, |i| {
-            moves(t + 1, i)
-        })
-    };
+    let forward = |(t, pair): (usize, &FlowPair)| sparse_flow(pair.there(), |i| moves(t, i));
+    let backward = |(t, pair): (usize, &FlowPair)| sparse_flow(pair.back(), |i| moves(t + 1, i));
     Strip {
         width: w,
         height: h,
@@ -145,7 +139,10 @@ mod tests {
             flow
         };
         let flows = (0..FRAMES - 1)
-            .map(|t| FlowPair::exact(flow(t, t + 1), flow(t + 1, t)))
+            .map(|t| FlowPair {
+                forward: flow(t, t + 1),
+                backward: flow(t + 1, t),
+            })
             .collect();
         ClipData {
             size: (W, H),
@@ -209,8 +206,8 @@ mod tests {
     #[test]
     fn chains_end_where_flow_does_not_lead_back_at_a_jump_of_depth_and_outside_the_mask() {
         let mut cut = clip_data(0.0);
-        cut.flows[7].forward_round_trip.fill(f32::INFINITY);
-        cut.flows[7].backward_round_trip.fill(f32::INFINITY);
+        cut.flows[7].forward.u.fill(f32::INFINITY);
+        cut.flows[7].backward.u.fill(f32::INFINITY);
         let mut jumping = clip_data(0.0);
         jumping.disparity[8..]
             .iter_mut()

@@ -9,9 +9,9 @@
 use super::shot::{Pair, Reprojected, Shot};
 use super::working::nearest_pixel;
 use crate::FrameRate;
-use crate::flow::{FlowPair, ScaledFrame};
+use crate::flow::{FlowPair, ScaledFrame, Way};
 use crate::smooth::box_blur;
-use m4_core::{Camera, Flow, bilinear, quantile};
+use m4_core::{Camera, bilinear, quantile};
 
 /// Spans over which places are compared, each both ways, seconds.
 const SPANS_S: [f64; 3] = [1.0 / 24.0, 1.0 / 6.0, 1.0];
@@ -184,12 +184,12 @@ impl Trajectories<'_> {
             }) else {
                 break;
             };
-            let Some((flow, trip)) = FlowPair::step(self.flows, from, later) else {
+            let Some(way) = FlowPair::step(self.flows, from, later) else {
                 break;
             };
             places
                 .iter_mut()
-                .for_each(|place| place.advance(flow, trip, noise));
+                .for_each(|place| place.advance(way, noise));
             if spans.contains(&k) {
                 self.add_places(
                     i,
@@ -264,11 +264,12 @@ struct Place {
 impl Place {
     /// Follows one more step, whose error is independent of those before; `noise` is the variance
     /// that every step has, pixels squared.
-    fn advance(&mut self, flow: &Flow, round_trip_px: &[f32], noise: f32) {
+    fn advance(&mut self, way: Way<'_>, noise: f32) {
         if self.variance.is_infinite() {
             return;
         }
-        let missed = round_trip_px[nearest_pixel(flow.width, flow.height, self.x, self.y)];
+        let flow = way.flow;
+        let missed = way.round_trip_px(nearest_pixel(flow.width, flow.height, self.x, self.y));
         let (u, v) = flow.at(self.x, self.y);
         let noise = noise + FLOW_NOISE_SHARE * FLOW_NOISE_SHARE * (u * u + v * v);
         *self = Self {
@@ -401,7 +402,10 @@ mod tests {
             }
         };
         let flows: Vec<FlowPair> = (0..FRAMES - 1)
-            .map(|t| FlowPair::of(flow(t, 1.0), flow(t + 1, -1.0)))
+            .map(|t| FlowPair {
+                forward: flow(t, 1.0),
+                backward: flow(t + 1, -1.0),
+            })
             .collect();
         let square: Vec<bool> = (0..W * H).map(|p| inside(MIDDLE, p)).collect();
         let disparity: Vec<f32> = square

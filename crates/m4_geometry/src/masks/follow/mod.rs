@@ -23,7 +23,7 @@ use crate::resample::working_size;
 use m4_core::{CompactMask, Progress, RgbImage};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
-use warp::{Step, carry, snap};
+use warp::{carry, snap};
 
 /// Carries masks of one clip along optical flow. Where there is a segmenter of single images, it
 /// says what they mean in each frame.
@@ -130,7 +130,7 @@ impl MaskHistory {
 impl FlowFollower<'_> {
     /// Flow of steps from each of `frames` to the next of them, and the images they lead to at the
     /// size of masks.
-    fn steps(&self, frames: &[usize]) -> Vec<(Step, ScaledFrame)> {
+    fn steps(&self, frames: &[usize]) -> Vec<(FlowPair, ScaledFrame)> {
         let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
         let small: Vec<ScaledFrame> = frames
             .par_iter()
@@ -139,7 +139,7 @@ impl FlowFollower<'_> {
         let one = |k: usize| {
             let pair = FlowPair::between(&small[k], &small[k + 1]);
             (
-                Step::new(pair, self.size),
+                pair.resized(self.size),
                 ScaledFrame::new(self.images[frames[k + 1]], self.size),
             )
         };
@@ -154,7 +154,7 @@ impl FlowFollower<'_> {
         &self,
         masks: &[Option<CompactMask>],
         frame: usize,
-        step: &Step,
+        step: &FlowPair,
         onto: &ScaledFrame,
     ) -> Result<Vec<Option<CompactMask>>, InstanceError> {
         let carried: Vec<Option<CompactMask>> = masks

@@ -2,9 +2,9 @@
 //! frame.
 
 use crate::classical::dense::to_outside;
-use crate::flow::{FlowPair, ScaledFrame, round_trip_px};
+use crate::flow::{FlowPair, ScaledFrame};
 use crate::smooth::Smoother;
-use m4_core::{CompactMask, Flow, bilinear};
+use m4_core::{CompactMask, bilinear};
 
 /// A pixel whose way there and back misses by this much counts half, pixels of the masks' size.
 const ROUND_TRIP_PX: f32 = 1.0;
@@ -21,40 +21,6 @@ const LEAST_KEPT: f32 = 0.2;
 const LEAST_SHARE: f32 = 0.0003;
 /// How far beyond the carried pixels of a thing its mask may reach after sharpening, pixels.
 const MARGIN_PX: usize = 16;
-
-/// Flow between the frame that a mask is of and the one that it is carried to, at the size of the
-/// mask.
-pub struct Step {
-    /// From the frame of the mask to the other, to say what arrives.
-    forward: Flow,
-    forward_round_trip_px: Vec<f32>,
-    /// From the other back, to fetch values.
-    backward: Flow,
-    backward_round_trip_px: Vec<f32>,
-}
-
-impl Step {
-    pub fn new(pair: FlowPair, (width, height): (usize, usize)) -> Self {
-        if (pair.forward.width, pair.forward.height) == (width, height) {
-            return Self {
-                forward: pair.forward,
-                forward_round_trip_px: pair.forward_round_trip,
-                backward: pair.backward,
-                backward_round_trip_px: pair.backward_round_trip,
-            };
-        }
-        let (forward, backward) = (
-            pair.forward.resized(width, height),
-            pair.backward.resized(width, height),
-        );
-        Self {
-            forward_round_trip_px: round_trip_px(&forward, &backward),
-            backward_round_trip_px: round_trip_px(&backward, &forward),
-            forward,
-            backward,
-        }
-    }
-}
 
 /// Weight of pixels without support: its neighbours of the same colour decide.
 const UNKNOWN: f32 = 1e-6;
@@ -89,14 +55,15 @@ pub fn snap(mask: &CompactMask, image: &ScaledFrame) -> CompactMask {
 }
 
 /// The mask in the other frame, whose image is `onto`; `None` where too little of the thing
-/// arrives.
-pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<CompactMask> {
+/// arrives. `step` leads from the frame of the mask to the other, at the size of the mask: forward
+/// says what arrives, backward fetches values.
+pub fn carry(mask: &CompactMask, step: &FlowPair, onto: &ScaledFrame) -> Option<CompactMask> {
     let (w, h) = mask.size();
     let (mut area, mut arrives) = (0.0f32, 0.0f32);
     let mut ends: Option<[usize; 4]> = None;
     for (x, y) in mask.set_pixels() {
         let p = y * w + x;
-        let t = trust(step.forward_round_trip_px[p]);
+        let t = trust(step.there().round_trip_px(p));
         area += 1.0;
         arrives += t;
         if t > 0.0 {
@@ -127,7 +94,7 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<Comp
                 (y0 + y) as f32 + step.backward.v[q],
             );
             value[i] = bilinear(w, h, &side, px, py);
-            weight[i] = trust(step.backward_round_trip_px[q]).max(UNKNOWN);
+            weight[i] = trust(step.back().round_trip_px(q)).max(UNKNOWN);
             guide[i] = onto.rgb[q];
         }
     }

@@ -18,8 +18,8 @@ use super::regions::Components;
 use super::rigid_objects::{ROUND_TRIP_PX, Tracklet, follow};
 use super::shot::Shot;
 use super::working::{WorkingClip, pixel_at};
-use crate::flow::FlowPair;
-use m4_core::{Camera, Flow, quantile};
+use crate::flow::{FlowPair, Way};
+use m4_core::{Camera, quantile};
 use occluders::Occluders;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -216,11 +216,11 @@ fn observe(
         return;
     }
     for later in [true, false] {
-        let Some((flow, trip)) = FlowPair::step(clip.flows, t, later) else {
+        let Some(way) = FlowPair::step(clip.flows, t, later) else {
             continue;
         };
         let other_labels = &labels[if later { t + 1 } else { t - 1 }];
-        let motion = motions(label, flow, trip);
+        let motion = motions(label, way);
         for &(p, other) in &pairs {
             let Some([u, v]) = motion.get(&label[p]) else {
                 continue;
@@ -237,12 +237,12 @@ fn observe(
 }
 
 /// Median flow of each label, of the pixels whose flow comes back.
-fn motions(label: &[u32], flow: &Flow, trip: &[f32]) -> BTreeMap<u32, [f32; 2]> {
+fn motions(label: &[u32], way: Way<'_>) -> BTreeMap<u32, [f32; 2]> {
     let mut all: BTreeMap<u32, [Vec<f32>; 2]> = BTreeMap::new();
-    for p in (0..label.len()).filter(|&p| label[p] > 0 && trip[p] <= ROUND_TRIP_PX) {
+    for p in (0..label.len()).filter(|&p| label[p] > 0 && way.round_trip_px(p) <= ROUND_TRIP_PX) {
         let [u, v] = all.entry(label[p]).or_default();
-        u.push(flow.u[p]);
-        v.push(flow.v[p]);
+        u.push(way.flow.u[p]);
+        v.push(way.flow.v[p]);
     }
     let median = |v: &mut Vec<f32>| quantile(v, 0.5).unwrap_or(0.0);
     all.into_iter()
@@ -305,19 +305,13 @@ mod tests {
 
     /// Flow from frame `t` to `to` with the miss of its round trip: none where the same thing is
     /// seen at both ends.
-    fn flow(t: usize, to: usize) -> (Flow, Vec<f32>) {
+    fn flow(t: usize, to: usize) -> Flow {
         let mut flow = Flow::zero(W, H);
-        let mut trip = vec![0.0; W * H];
         for p in 0..W * H {
-            let (x, y) = ((p % W) as isize, p / W);
-            let label = thing(x, y, t);
-            let step = velocity(label) * (to as isize - t as isize);
-            flow.u[p] = step as f32;
-            if thing(x + step, y, to) != label {
-                trip[p] = 10.0;
-            }
+            let label = thing((p % W) as isize, p / W, t);
+            flow.u[p] = (velocity(label) * (to as isize - t as isize)) as f32;
         }
-        (flow, trip)
+        flow
     }
 
     fn world() -> World {
@@ -344,15 +338,9 @@ mod tests {
                 .collect(),
             disparity: vec![sphere(&camera); FRAMES],
             flows: (1..FRAMES)
-                .map(|t| {
-                    let ((forward, forward_round_trip), (backward, backward_round_trip)) =
-                        (flow(t - 1, t), flow(t, t - 1));
-                    FlowPair {
-                        forward,
-                        backward,
-                        forward_round_trip,
-                        backward_round_trip,
-                    }
+                .map(|t| FlowPair {
+                    forward: flow(t - 1, t),
+                    backward: flow(t, t - 1),
                 })
                 .collect(),
         };

@@ -142,7 +142,7 @@ fn crossings(clip: &WorkingClip<'_>, i: usize) -> Vec<(usize, f32)> {
                 let (edge, inside) = (beside(1), beside(DEPTH_PX));
                 if now[edge] == 0
                     || now[inside] == 0
-                    || flow.forward_round_trip[inside] > ROUND_TRIP_PX
+                    || flow.there().round_trip_px(inside) > ROUND_TRIP_PX
                 {
                     continue;
                 }

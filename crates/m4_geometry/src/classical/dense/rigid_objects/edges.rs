@@ -143,8 +143,8 @@ impl<'a> Part<'a> {
         for span in 1..=most {
             let at = step.frame;
             let next = if later { at + 1 } else { at.wrapping_sub(1) };
-            let flow = FlowPair::step(self.clip.flows, self.tracklet.first + at, later);
-            let Some((flow, trip)) = flow.filter(|_| next < self.frames()) else {
+            let way = FlowPair::step(self.clip.flows, self.tracklet.first + at, later);
+            let Some(way) = way.filter(|_| next < self.frames()) else {
                 return;
             };
             for g in 0..n {
@@ -152,8 +152,8 @@ impl<'a> Part<'a> {
                     continue;
                 }
                 let (x, y) = (step.px[g], step.py[g]);
-                let (u, v) = flow.at(x, y);
-                let trip = trip[nearest_pixel(w, h, x, y)];
+                let (u, v) = way.flow.at(x, y);
+                let trip = way.round_trip_px(nearest_pixel(w, h, x, y));
                 (step.px[g], step.py[g]) = (x + u, y + v);
                 step.miss[g] = if trip < ROUND_TRIP_PX && self.at(next, x + u, y + v) {
                     step.miss[g].hypot(trip)

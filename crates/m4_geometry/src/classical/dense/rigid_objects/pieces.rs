@@ -251,7 +251,10 @@ mod tests {
             dynamic: Vec::new(),
             disparity: Vec::new(),
             flows: (0..FRAMES - 1)
-                .map(|k| FlowPair::exact(flow(k, 1.0), flow(k, -1.0)))
+                .map(|k| FlowPair {
+                    forward: flow(k, 1.0),
+                    backward: flow(k, -1.0),
+                })
                 .collect(),
         };
         let parts = (0..FRAMES).map(part).collect();

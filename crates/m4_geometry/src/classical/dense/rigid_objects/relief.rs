@@ -273,7 +273,10 @@ mod tests {
             dynamic: Vec::new(),
             disparity: Vec::new(),
             flows: (1..FRAMES)
-                .map(|_| FlowPair::exact(still(), still()))
+                .map(|_| FlowPair {
+                    forward: still(),
+                    backward: still(),
+                })
                 .collect(),
         };
         let tracklet = Tracklet {

@@ -140,7 +140,10 @@ fn world(disc: &Disc) -> (ClipData, Vec<Vec<f32>>) {
             .collect(),
         disparity: map(&|t, p| behind(t, p)),
         flows: (0..FRAMES - 1)
-            .map(|t| FlowPair::exact(flow(t, t + 1), flow(t + 1, t)))
+            .map(|t| FlowPair {
+                forward: flow(t, t + 1),
+                backward: flow(t + 1, t),
+            })
             .collect(),
         cameras,
     };

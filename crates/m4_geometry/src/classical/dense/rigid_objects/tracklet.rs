@@ -33,7 +33,7 @@ fn heirs(
     to: (usize, &Components),
 ) -> Vec<usize> {
     let (w, h) = (clip.width, clip.height);
-    let Some((flow, trip)) = FlowPair::step(clip.flows, from.0, from.0 < to.0) else {
+    let Some(way) = FlowPair::step(clip.flows, from.0, from.0 < to.0) else {
         return Vec::new();
     };
     let (from, to) = (from.1, to.1);
@@ -44,11 +44,11 @@ fn heirs(
             let mut count = 0usize;
             for &p in pixels {
                 let p = p as usize;
-                if trip[p] > ROUND_TRIP_PX {
+                if way.round_trip_px(p) > ROUND_TRIP_PX {
                     continue;
                 }
-                let x = ((p % w) as f32 + flow.u[p] + 0.5).max(0.0) as usize;
-                let y = ((p / w) as f32 + flow.v[p] + 0.5).max(0.0) as usize;
+                let x = ((p % w) as f32 + way.flow.u[p] + 0.5).max(0.0) as usize;
+                let y = ((p / w) as f32 + way.flow.v[p] + 0.5).max(0.0) as usize;
                 if x < w && y < h {
                     count += 1;
                     hits[to.label[y * w + x] as usize] += 1;
@@ -195,7 +195,7 @@ fn next(
     fresh: &mut u32,
 ) -> Vec<u32> {
     let (w, h) = (clip.width, clip.height);
-    let Some((flow, trip)) = FlowPair::step(clip.flows, t, t < s) else {
+    let Some(way) = FlowPair::step(clip.flows, t, t < s) else {
         return own(parts, fresh);
     };
     let mut area: BTreeMap<u32, usize> = BTreeMap::new();
@@ -211,8 +211,15 @@ fn next(
         let mut all = 0usize;
         for &p in pixels {
             let p = p as usize;
-            let target = pixel_at(w, h, (p % w) as f32 + flow.u[p], (p / w) as f32 + flow.v[p]);
-            if let Some(q) = target.filter(|&q| trip[p] <= ROUND_TRIP_PX && labels[q] > 0) {
+            let target = pixel_at(
+                w,
+                h,
+                (p % w) as f32 + way.flow.u[p],
+                (p / w) as f32 + way.flow.v[p],
+            );
+            if let Some(q) =
+                target.filter(|&q| way.round_trip_px(p) <= ROUND_TRIP_PX && labels[q] > 0)
+            {
                 out[p] = labels[q];
                 *votes.entry(out[p]).or_default() += 1;
                 all += 1;
