@@ -135,12 +135,17 @@ pub(super) fn place<'s>(
 ) -> Result<Vec<DynamicObject>, DenseError> {
     let tracklets = follow(clip);
     let before: &[Vec<f32>] = disparity;
-    let bodies = each(tracklets.len(), "shaping moving parts", progress, |i| {
+    let phase = "shaping moving parts";
+    let bodies = each(tracklets.len(), phase, progress, |i| {
         let t = &tracklets[i];
-        let shape = rigid::reconstruct(clip, t, before)?;
+        let shape = rigid::reconstruct(clip, t, before, progress)?;
         let reading = scale::read(clip, t, &shape)?;
         Some((t, shape, reading))
     })?;
+    // A part whose adjustment was stopped looks like one that cannot be shaped.
+    if progress.cancelled() {
+        return Err(DenseError::Cancelled { phase });
+    }
     let bodies: Vec<Body<'_>> = bodies.into_iter().flatten().collect();
     let scales = scale::settle(
         &bodies

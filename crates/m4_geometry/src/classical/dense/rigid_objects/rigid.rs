@@ -5,7 +5,7 @@ use super::edges::Part;
 use super::shape::{Shape, Whole, shrink_relief};
 use super::{BLOCK_PX, Tracklet, WorkingClip, pieces, relief, reversal, silhouette};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Pinhole, Problem, adjust};
-use m4_core::{Camera, Se3, quantile};
+use m4_core::{Camera, Progress, Se3, quantile};
 
 /// Fewest adjusted pixels per frame.
 const LEAST_POINTS: usize = 12;
@@ -42,14 +42,16 @@ const HELD: [(Free, usize, f64); 1] = [(Free::PosesAndDepth, 8, 1.0)];
 const ROUNDS: usize = 5;
 
 /// Adjusts one part; `before` is the disparity that it was believed to have. What is rigid in it
-/// has the shape of that piece alone; the rest is as far as the nearest of it.
+/// has the shape of that piece alone; the rest is as far as the nearest of it. Stops between steps
+/// where `progress` says so.
 pub(super) fn reconstruct(
     clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
     before: &[Vec<f32>],
+    progress: &dyn Progress,
 ) -> Option<Shape> {
     let part = Part::of(clip, tracklet);
-    let start = Start::of(&part, before)?;
+    let start = Start::of(&part, before, progress)?;
     let mut edges = part.factors();
     let (geometry, mut disparity) = start.adjust(&part, &edges, None)?;
     shrink_relief(clip, tracklet, &mut disparity);
@@ -102,14 +104,15 @@ fn poses(geometry: Geometry<f32>, unit: f64) -> Vec<Se3<f64>> {
 }
 
 /// What an adjustment starts from: a flat part that moves as a static one would.
-struct Start {
+struct Start<'a> {
     geometry: Geometry<f32>,
     /// Disparities count in units of the part's own, so that one prior fits near and far parts.
     unit: f32,
+    progress: &'a dyn Progress,
 }
 
-impl Start {
-    fn of(part: &Part<'_>, before: &[Vec<f32>]) -> Option<Self> {
+impl<'a> Start<'a> {
+    fn of(part: &Part<'_>, before: &[Vec<f32>], progress: &'a dyn Progress) -> Option<Self> {
         let (clip, blocks, frames) = (part.clip, &part.blocks, part.frames());
         let (grid, first) = (blocks.grid, part.tracklet.first);
         let suggested = |k: usize, g: usize| {
@@ -158,7 +161,11 @@ impl Start {
                 .collect(),
             sensor,
         };
-        Some(Self { geometry, unit })
+        Some(Self {
+            geometry,
+            unit,
+            progress,
+        })
     }
 
     /// Adjusts the part, or the piece that blocks belong to by these shares; with a piece, relief
@@ -184,6 +191,9 @@ impl Start {
         let run = |geometry: &mut Geometry<f32>, steps: &[(Free, usize, f64)], prior: f64| {
             let mut solved = false;
             for &(free, iterations, tolerance) in steps {
+                if self.progress.cancelled() {
+                    return None;
+                }
                 let options = DbaOptions {
                     free,
                     iterations,

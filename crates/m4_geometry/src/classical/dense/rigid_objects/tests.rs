@@ -1,12 +1,14 @@
 //! Rigid objects on synthetic clips: exact flow, a wrong guess of their distance.
 
 use super::{DistanceCue, DynamicObject, Smoother, distance_sigma, place};
+use crate::classical::dense::sources::DenseError;
 use crate::classical::dense::working::ClipData;
 use crate::flow::FlowPair;
 use m4_core::{
-    Camera, Flow, Intrinsics, Se3, Silent,
+    Camera, Flow, Intrinsics, Progress, Se3, Silent,
     nalgebra::{Vector3, Vector6},
 };
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 const W: usize = 160;
 const H: usize = 120;
@@ -246,4 +248,34 @@ fn a_thrown_ball_is_at_the_distance_that_its_parabola_tells() {
     let (before, after) = errors(&ball, |t| 0.75 + 0.05 * (t as f32).sin());
     // measured: 0.0174, and 0.351 without the ballistic prior
     assert!(before > 0.25 && after < 0.025, "{before} {after}");
+}
+
+/// Counts how often it is asked, and stops the work the second time.
+struct StopsSoon(AtomicUsize);
+
+impl Progress for StopsSoon {
+    fn update(&self, _phase: &str, _done: usize, _total: usize, _note: &str) {}
+
+    fn warn(&self, _message: &str) {}
+
+    fn cancelled(&self) -> bool {
+        self.0.fetch_add(1, Ordering::Relaxed) >= 1
+    }
+}
+
+#[test]
+fn the_adjustment_of_one_part_can_be_stopped() {
+    let wheel = Disc {
+        ball: false,
+        radius: 0.5,
+        middle: |_| Vector3::new(0.3, -0.1, 3.0),
+        turn_rad: 0.15,
+    };
+    let (world, mut disparity) = world(&wheel);
+    let smoother = |_: usize| Smoother::new(W, H, &[[90; 3]; W * H], 8.0);
+    let progress = StopsSoon(AtomicUsize::new(0));
+    let stopped = place(&world.clip(), smoother, &mut disparity, &progress);
+    assert!(matches!(stopped, Err(DenseError::Cancelled { .. })));
+    // The part, the first step of its adjustment, and whether all were finished.
+    assert!(progress.0.into_inner() <= 3);
 }
