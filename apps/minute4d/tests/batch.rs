@@ -247,7 +247,7 @@ fn run_of_a_job_sees_no_keys_of_who_started_it() {
 fn killed_job_resumes_to_identical_bits() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
-    let settings = "--iterations 1200 --set checkpoint.every_s=0.02";
+    let settings = "--iterations 500 --set checkpoint.every_s=0.02";
     dir.succeed(&format!("run clips/clip1 -o whole {settings}"));
     plan(&dir, settings);
     let mut running =

@@ -264,8 +264,8 @@ fn signal_saves_and_resume_gives_identical_bits() {
 #[test]
 fn killed_run_resumes_from_its_last_checkpoint() {
     let dir = with_capture(false);
-    dir.succeed("train capture -o whole --iterations 1200");
-    let train = "train capture -o parts --iterations 1200";
+    dir.succeed("train capture -o whole --iterations 500");
+    let train = "train capture -o parts --iterations 500";
     let (mut running, _rest) = start(&dir, &format!("{train} --set checkpoint.every_s=0.02"));
     let saved = dir.path("parts/checkpoints");
     while fs::read_dir(&saved).map_or(0, Iterator::count) < 2 {

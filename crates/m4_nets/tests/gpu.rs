@@ -18,32 +18,47 @@ use std::path::PathBuf;
 use std::sync::{Arc, LazyLock};
 use tempfile::TempDir;
 
-/// The GPU, started once; `None`, and said so, without one.
+/// The GPU or the software driver, started once, and whether it is software.
+static DEVICE: LazyLock<Result<(Device, bool), String>> = LazyLock::new(|| {
+    let mut why = String::new();
+    for kind in [
+        WgpuDeviceKind::DiscreteGpu(0),
+        WgpuDeviceKind::IntegratedGpu(0),
+        WgpuDeviceKind::VirtualGpu(0),
+        WgpuDeviceKind::Cpu,
+    ] {
+        let software = matches!(kind, WgpuDeviceKind::Cpu);
+        let device = WgpuDevice::new(kind).on(WgpuBackend::Vulkan);
+        match try_init_setup::<AutoGraphicsApi>(&device, RuntimeOptions::default()) {
+            Ok(_) => return Ok((m4_nets::gpu(device), software)),
+            Err(error) => why = error.to_string(),
+        }
+    }
+    Err(why)
+});
+
+/// The GPU or the software driver; `None`, and said so, without one.
 #[track_caller]
 fn gpu() -> Option<Device> {
-    static GPU: LazyLock<Result<Device, String>> = LazyLock::new(|| {
-        let mut why = String::new();
-        for kind in [
-            WgpuDeviceKind::DiscreteGpu(0),
-            WgpuDeviceKind::IntegratedGpu(0),
-            WgpuDeviceKind::VirtualGpu(0),
-            WgpuDeviceKind::Cpu,
-        ] {
-            let device = WgpuDevice::new(kind).on(WgpuBackend::Vulkan);
-            match try_init_setup::<AutoGraphicsApi>(&device, RuntimeOptions::default()) {
-                Ok(_) => return Ok(m4_nets::gpu(device)),
-                Err(error) => why = error.to_string(),
-            }
-        }
-        Err(why)
-    });
-    match &*GPU {
-        Ok(gpu) => Some(gpu.clone()),
+    match &*DEVICE {
+        Ok((device, _)) => Some(device.clone()),
         Err(why) => {
             skip(Need::Vulkan, why);
             None
         }
     }
+}
+
+/// The GPU; `None`, and said so, with a software driver, on which networks whose images have a
+/// fixed size of 768 or 1024 pixels take three to ten minutes each.
+#[track_caller]
+fn fast_gpu() -> Option<Device> {
+    let device = gpu()?;
+    if matches!(&*DEVICE, Ok((_, true))) {
+        skip(Need::Gpu, "the only Vulkan device is a software driver");
+        return None;
+    }
+    Some(device)
 }
 
 /// A checkpoint with weights by the formula; the folder goes with it.
@@ -189,7 +204,7 @@ fn tracking_network_matches_the_cpu() {
 
 #[test]
 fn networks_of_depth_say_the_same_as_on_the_processor() {
-    let Some(gpu) = gpu() else {
+    let Some(gpu) = fast_gpu() else {
         return;
     };
     let folder = TempDir::new().unwrap();
@@ -282,7 +297,7 @@ fn unidepth_matches_the_cpu() {
 
 #[test]
 fn mobile_sam_matches_the_cpu() {
-    let Some(gpu) = gpu() else {
+    let Some(gpu) = fast_gpu() else {
         return;
     };
     let (_folder, path) = checkpoint(&FormulaWeights::of_keys(include_str!(

@@ -122,7 +122,7 @@ impl FormulaTensor {
         match &self.values {
             Some(values) => (
                 Dtype::F32,
-                values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+                (values.iter().map(|v| v.to_le_bytes()).collect::<Vec<_>>()).into_flattened(),
             ),
             None => (Dtype::I64, 7i64.to_le_bytes().to_vec()),
         }
@@ -144,17 +144,22 @@ fn fill(name: &str, shape: &[usize]) -> Vec<f32> {
         _ => {}
     }
     let fan_in: usize = shape.iter().skip(1).product();
-    let value = |u: f64| match (last, shape.len()) {
-        ("running_mean", _) => 0.1 * u,
-        ("running_var", _) => 1.0 + 0.2 * u.abs(),
-        ("gamma" | "layer_scale", _) => 0.5 + 0.1 * u,
-        ("positional_encoding_gaussian_matrix", _) => u,
-        (l, _) if l.ends_with("bias") => 0.02 * u,
-        (l, 1) if l.ends_with("weight") => 1.0 + 0.1 * u,
-        (l, 2..) if l.ends_with("weight") => u * (3.0 / fan_in as f64).sqrt(),
-        _ => 0.5 * u,
+    // Chosen once: tensors have up to tens of millions of numbers.
+    let (offset, scale) = match (last, shape.len()) {
+        ("running_mean", _) => (0.0, 0.1),
+        ("running_var", _) => (1.0, 0.2),
+        ("gamma" | "layer_scale", _) => (0.5, 0.1),
+        ("positional_encoding_gaussian_matrix", _) => (0.0, 1.0),
+        (l, _) if l.ends_with("bias") => (0.0, 0.02),
+        (l, 1) if l.ends_with("weight") => (1.0, 0.1),
+        (l, 2..) if l.ends_with("weight") => (0.0, (3.0 / fan_in as f64).sqrt()),
+        _ => (0.0, 0.5),
     };
-    formula(name, numbers).map(|u| value(u) as f32).collect()
+    let numbers = formula(name, numbers);
+    match last {
+        "running_var" => numbers.map(|u| (offset + scale * u.abs()) as f32).collect(),
+        _ => numbers.map(|u| (offset + scale * u) as f32).collect(),
+    }
 }
 
 #[cfg(test)]

@@ -20,6 +20,8 @@ pub enum Need {
     Chromium,
     /// A GPU, or a software Vulkan driver (lavapipe).
     Vulkan,
+    /// A GPU: a software driver would take too long.
+    Gpu,
     /// A GPU that computes with 16 bits.
     HalfPrecision,
     /// npm, and the packages that it fetches.
@@ -46,6 +48,10 @@ impl Need {
             Self::Vulkan => (
                 "vulkan",
                 "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)",
+            ),
+            Self::Gpu => (
+                "gpu",
+                "run the tests on a GPU: a software driver takes minutes for one image",
             ),
             Self::HalfPrecision => (
                 "half-precision",

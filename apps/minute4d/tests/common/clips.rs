@@ -8,19 +8,32 @@ use m4_io::image::{write_mask, write_rgb};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
+use std::sync::LazyLock;
 
 pub const SIZE: (usize, usize) = (160, 120);
 pub const FOCAL_PX: f64 = 150.0;
 
-/// Brightness of a wall: waves of many lengths, none of which repeats over the image.
-fn texture(x: f64, y: f64, wall: f64) -> f64 {
-    let wave = |k: i32| {
-        let turn = 2.4 * f64::from(k) + wall;
-        let frequency = 2.0 * 1.35_f64.powi(k);
-        let phase = (x * turn.cos() + y * turn.sin()) * frequency;
-        (phase + 1.7 * f64::from(k) * wall).sin() / 1.1_f64.powi(k)
-    };
-    (0..9).map(wave).sum::<f64>()
+/// Direction, phase and height of a wave.
+type Wave = ([f64; 2], f64, f64);
+
+/// How much the walls differ between red, green and blue.
+const SHIFTS: [f64; 3] = [0.0, 0.3, 0.6];
+
+/// The brightness of the two boxes and of the back wall, by colour: waves of many lengths, none of
+/// which repeats over the image.
+static WALLS: LazyLock<[[[Wave; 9]; 3]; 3]> =
+    LazyLock::new(|| [1.0, 2.0, 3.0].map(|wall| SHIFTS.map(|shift| waves(wall + shift))));
+
+fn waves(wall: f64) -> [Wave; 9] {
+    std::array::from_fn(|k| {
+        let turn = 2.4 * k as f64 + wall;
+        let frequency = 2.0 * 1.35_f64.powi(k as i32);
+        (
+            [turn.cos() * frequency, turn.sin() * frequency],
+            1.7 * k as f64 * wall,
+            1.0 / 1.1_f64.powi(k as i32),
+        )
+    })
 }
 
 /// z-depth of what pixel `(u, v)` of `camera` sees: a back wall at 6 and two boxes before it.
@@ -32,15 +45,20 @@ pub fn see(camera: &Camera, u: f64, v: f64) -> ([u8; 3], f64) {
     for (wall, (z, from, to)) in walls.iter().enumerate() {
         let p = hit(*z);
         if p.x > *from && p.x < *to && p.y > -0.3 {
-            return (colour(&p, 1.0 + wall as f64), z - centre.z);
+            return (colour(&p, wall), z - centre.z);
         }
     }
-    (colour(&hit(6.0), 3.0), 6.0 - centre.z)
+    (colour(&hit(6.0), 2), 6.0 - centre.z)
 }
 
-fn colour(p: &Vector3<f64>, wall: f64) -> [u8; 3] {
-    [0.0, 0.3, 0.6].map(|shift| {
-        (128.0 + 26.0 * texture(p.x + 0.1 * shift, p.y, wall + shift)).clamp(0.0, 255.0) as u8
+fn colour(p: &Vector3<f64>, wall: usize) -> [u8; 3] {
+    [0, 1, 2].map(|channel| {
+        let x = p.x + 0.1 * SHIFTS[channel];
+        let wave = |(direction, phase, height): &Wave| {
+            height * (x * direction[0] + p.y * direction[1] + phase).sin()
+        };
+        let brightness: f64 = WALLS[wall][channel].iter().map(wave).sum();
+        (128.0 + 26.0 * brightness).clamp(0.0, 255.0) as u8
     })
 }
 
