@@ -51,7 +51,7 @@ impl Need {
             ),
             Self::Gpu => (
                 "gpu",
-                "run the tests on a GPU: a software driver takes minutes for one image",
+                "run the tests on a GPU: a software driver takes minutes for each network",
             ),
             Self::HalfPrecision => (
                 "half-precision",
