@@ -44,10 +44,11 @@ fn unknown() -> Entry {
     }
 }
 
-/// An answer of HTTP with these lines.
+/// An answer of HTTP with these lines. It says that the server closes the connection: without
+/// that, a client keeps it for its next request, which may meet the end of the connection.
 fn answer(status: u16, lines: &[&str], body: &[u8]) -> Vec<u8> {
     let mut head = format!(
-        "HTTP/1.1 {status} Status\r\nContent-Length: {}\r\n",
+        "HTTP/1.1 {status} Status\r\nConnection: close\r\nContent-Length: {}\r\n",
         body.len()
     );
     for line in lines {
