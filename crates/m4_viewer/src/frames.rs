@@ -1,24 +1,26 @@
-//! The source frames shown next to the re-render: small JPEGs, one after the other.
+//! The source frames shown next to the re-render: a small clip, and a poster of its beginning.
 
 use crate::manifest::FrameIndex;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use m4_core::{ResizeFilter, RgbImage, resize_rgb};
+use m4_io::video::{self, CodedFrames, CodedOptions};
 use rayon::prelude::*;
-use std::borrow::Cow;
 
 /// Longest side of the frames, pixels: as the panels of the preview.
 const SIDE_PX: usize = 480;
 /// Bytes that all frames of a page together may take.
 pub const FRAME_BYTES: usize = 6_000_000;
 
-/// Frames as JPEGs.
+/// Frames as a clip of H.264.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frames {
     /// Where each begins.
     pub index: FrameIndex,
-    /// One after the other.
+    /// One after the other, each a part of a byte stream (ITU-T H.264, Annex B).
     pub bytes: Vec<u8>,
+    /// The first of them as a JPEG.
+    pub poster: Vec<u8>,
 }
 
 /// Why frames cannot be put into the page.
@@ -36,28 +38,35 @@ pub enum FramesError {
         height: usize,
     },
     /// The encoder.
-    #[error("frame {index} cannot be written as a JPEG: {reason}")]
-    Encode {
-        /// The frame.
-        index: usize,
-        /// Its message.
-        reason: String,
-    },
+    #[error("the frames of the page cannot be encoded: {0}")]
+    Encode(String),
 }
 
-/// JPEG quality to begin with, 1 to 100: blocks are not seen at this size.
-const QUALITY: u8 = 80;
-/// Quality is lowered by this much at a time, down to [`LEAST_QUALITY`]; after that the size.
-const QUALITY_STEP: u8 = 15;
-const LEAST_QUALITY: u8 = 50;
-/// No frame is made smaller than this, however many there are.
+/// Quantisation to begin with; coding begins to be visible at 26.
+const QP: u8 = 22;
+/// Quantisation is raised by this much at a time, which a third fewer bytes follow, up to
+/// [`MOST_QP`]; after that the size.
+const QP_STEP: u8 = 4;
+const MOST_QP: u8 = 36;
+/// No longest side is made smaller than this, however many frames there are.
 const LEAST_SIDE_PX: usize = 96;
-/// Frames that are tried before all are written.
-const SAMPLES: usize = 8;
+/// Shortest side that can be encoded.
+const LEAST_PX: usize = 16;
+/// Seconds from one frame at which decoding can begin to the next, and the fewest frames: a jump to
+/// another time waits for half of them to be decoded.
+const KEYS: (f64, usize) = (0.5, 12);
+/// Runs from one such frame to the next that are tried before all are encoded.
+const SAMPLES: usize = 4;
+/// JPEG quality of the poster, 1 to 100.
+const POSTER_QUALITY: u8 = 80;
 
-/// The images as JPEGs of one size that together take at most `most` bytes, as far as that can be
-/// held: where it is not enough, quality and then size are lowered. `None` for none.
-pub fn encode_frames(images: &[&RgbImage], most: usize) -> Result<Option<Frames>, FramesError> {
+/// The images, at `fps` frames a second, as a clip that takes at most `most` bytes, as far as that
+/// can be held: where it is not enough, quality and then size are lowered. `None` for none.
+pub fn encode_frames(
+    images: &[&RgbImage],
+    fps: f64,
+    most: usize,
+) -> Result<Option<Frames>, FramesError> {
     for (index, image) in images.iter().enumerate() {
         let (width, height) = image.size();
         if width == 0 || height == 0 {
@@ -71,83 +80,92 @@ pub fn encode_frames(images: &[&RgbImage], most: usize) -> Result<Option<Frames>
     let Some(first) = images.first() else {
         return Ok(None);
     };
+    let key_every = ((KEYS.0 * fps).ceil() as usize).max(KEYS.1);
     let mut side = SIDE_PX;
-    let mut quality = QUALITY;
-    // a few frames tell how large all will be
-    let step = images.len().div_ceil(SAMPLES);
+    let mut options = CodedOptions {
+        fps,
+        qp: QP,
+        key_every,
+    };
+    // a few runs tell how large all will be
+    let sample = sample(images, key_every);
     loop {
-        let size = fit(first.size(), side);
-        let sampled = encoded(images, step, size, quality)?;
-        let bytes: usize = sampled.iter().map(Vec::len).sum();
-        let expected = bytes as f64 / sampled.len() as f64 * images.len() as f64;
+        let coded = encoded(&sample, fit(first.size(), side), &options)?;
+        let bytes: usize = coded.frames.iter().map(Vec::len).sum();
+        let expected = bytes as f64 / sample.len() as f64 * images.len() as f64;
         if expected <= most as f64 || side <= LEAST_SIDE_PX {
             break;
         }
-        if quality >= LEAST_QUALITY + QUALITY_STEP {
-            quality -= QUALITY_STEP;
+        if options.qp < MOST_QP {
+            options.qp += QP_STEP;
         } else {
             side = (side * 3 / 4).max(LEAST_SIDE_PX);
         }
     }
-    let size = fit(first.size(), side);
+    let (width, height) = fit(first.size(), side);
+    let coded = encoded(images, (width, height), &options)?;
     let (mut bytes, mut offsets) = (Vec::new(), vec![0]);
-    for jpeg in encoded(images, 1, size, quality)? {
-        bytes.extend(jpeg);
+    for frame in &coded.frames {
+        bytes.extend(frame);
         offsets.push(bytes.len());
     }
     let index = FrameIndex {
-        width: size.0,
-        height: size.1,
+        width,
+        height,
+        codec: coded.codec,
+        key_every,
         offsets,
     };
-    Ok(Some(Frames { index, bytes }))
+    Ok(Some(Frames {
+        index,
+        bytes,
+        poster: jpeg(&resized(first, (width, height))?)?,
+    }))
 }
 
-/// The size with the longest side at most `side`.
+/// Evenly spaced runs of `length` images; all images where they are few.
+fn sample<'a>(images: &[&'a RgbImage], length: usize) -> Vec<&'a RgbImage> {
+    let runs: Vec<&[&RgbImage]> = images.chunks(length).collect();
+    let step = runs.len().div_ceil(SAMPLES);
+    runs.into_iter().step_by(step).flatten().copied().collect()
+}
+
+/// The size with the longest side at most `side`, in even numbers.
 fn fit((width, height): (usize, usize), side: usize) -> (usize, usize) {
     let scale = (side as f64 / width.max(height) as f64).min(1.0);
-    let scaled = |n: usize| ((n as f64 * scale).round() as usize).max(1);
+    let scaled = |n: usize| (2 * (n as f64 * scale / 2.0).round() as usize).max(LEAST_PX);
     (scaled(width), scaled(height))
 }
 
-/// Every `step`th image as a JPEG.
 fn encoded(
     images: &[&RgbImage],
-    step: usize,
     size: (usize, usize),
-    quality: u8,
-) -> Result<Vec<Vec<u8>>, FramesError> {
-    (0..images.len().div_ceil(step))
-        .into_par_iter()
-        .map(|i| jpeg(images[i * step], i * step, size, quality))
-        .collect()
+    options: &CodedOptions,
+) -> Result<CodedFrames, FramesError> {
+    let small: Vec<RgbImage> = images
+        .par_iter()
+        .map(|image| resized(image, size))
+        .collect::<Result<_, _>>()?;
+    video::encode_frames(small, options).map_err(FramesError::Encode)
 }
 
-fn jpeg(
-    image: &RgbImage,
-    index: usize,
-    (width, height): (usize, usize),
-    quality: u8,
-) -> Result<Vec<u8>, FramesError> {
-    let failed = |reason: &dyn std::fmt::Display| FramesError::Encode {
-        index,
-        reason: reason.to_string(),
-    };
-    let small = if image.size() == (width, height) {
-        Cow::Borrowed(image)
-    } else {
-        Cow::Owned(
-            resize_rgb(image, width, height, ResizeFilter::Triangle)
-                .ok_or_else(|| failed(&"it cannot be made smaller"))?,
-        )
-    };
+fn resized(image: &RgbImage, (width, height): (usize, usize)) -> Result<RgbImage, FramesError> {
+    if image.size() == (width, height) {
+        return Ok(image.clone());
+    }
+    resize_rgb(image, width, height, ResizeFilter::Triangle)
+        .ok_or_else(|| FramesError::Encode(format!("no size of {width} x {height} pixels")))
+}
+
+fn jpeg(image: &RgbImage) -> Result<Vec<u8>, FramesError> {
+    let failed = |reason: &dyn std::fmt::Display| FramesError::Encode(reason.to_string());
     let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));
     let mut out = Vec::new();
-    JpegEncoder::new_with_quality(&mut out, quality)
+    JpegEncoder::new_with_quality(&mut out, POSTER_QUALITY)
         .write_image(
-            small.data().as_flattened(),
-            side(width)?,
-            side(height)?,
+            image.data().as_flattened(),
+            side(image.width())?,
+            side(image.height())?,
             ExtendedColorType::Rgb8,
         )
         .map_err(|e| failed(&e))?;
@@ -167,37 +185,37 @@ mod tests {
     }
 
     #[test]
-    fn frames_come_back_at_their_offsets() {
-        let grey = |v: u8| Plane::filled(200, 100, [v; 3]);
+    fn frames_are_indexed_and_the_first_is_the_poster() {
+        let grey = |v: u8| Plane::filled(200, 101, [v; 3]);
         let images: Vec<RgbImage> = [10, 120, 250].map(grey).into();
-        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), FRAME_BYTES)
+        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), 60.0, FRAME_BYTES)
             .unwrap()
             .unwrap();
-        assert_eq!((frames.index.width, frames.index.height), (200, 100));
-        assert_eq!(frames.index.offsets.len(), 4);
-        assert_eq!(frames.index.offsets[3], frames.bytes.len());
-        for (i, value) in [10u8, 120, 250].into_iter().enumerate() {
-            let jpeg = &frames.bytes[frames.index.offsets[i]..frames.index.offsets[i + 1]];
-            let image = image::load_from_memory(jpeg).unwrap().to_rgb8();
-            assert_eq!(image.dimensions(), (200, 100));
-            assert!(
-                image.as_raw().iter().all(|v| v.abs_diff(value) <= 2),
-                "frame {i}"
-            );
+        let index = &frames.index;
+        assert_eq!((index.width, index.height), (200, 102));
+        assert_eq!((index.key_every, index.offsets.len()), (30, 4));
+        assert_eq!(index.offsets[3], frames.bytes.len());
+        assert!(index.codec.starts_with("avc1."), "{}", index.codec);
+        // each begins as a unit of the byte stream does
+        for start in &index.offsets[..3] {
+            assert_eq!(frames.bytes[*start..][..4], [0, 0, 0, 1]);
         }
+        let poster = image::load_from_memory(&frames.poster).unwrap().to_rgb8();
+        assert_eq!(poster.dimensions(), (200, 102));
+        assert!(poster.as_raw().iter().all(|v| v.abs_diff(10) <= 2));
     }
 
     #[test]
     fn too_many_bytes_cost_quality_and_size() {
         let images: Vec<RgbImage> = (0..20).map(noise).collect();
         let images: Vec<&RgbImage> = images.iter().collect();
-        let whole = encode_frames(&images, FRAME_BYTES).unwrap().unwrap();
+        let whole = encode_frames(&images, 24.0, FRAME_BYTES).unwrap().unwrap();
         assert_eq!((whole.index.width, whole.index.height), (480, 270));
-        let most = whole.bytes.len() / 6;
-        let tight = encode_frames(&images, most).unwrap().unwrap();
+        let most = whole.bytes.len() / 20;
+        let tight = encode_frames(&images, 24.0, most).unwrap().unwrap();
         assert!(
             tight.bytes.len() < most * 11 / 10,
-            "{} bytes",
+            "{} bytes, {most} wanted",
             tight.bytes.len()
         );
         assert!(tight.index.width < 480);
@@ -205,8 +223,17 @@ mod tests {
 
     #[test]
     fn no_frames_and_empty_frames() {
-        assert_eq!(encode_frames(&[], FRAME_BYTES), Ok(None));
+        assert_eq!(encode_frames(&[], 24.0, FRAME_BYTES), Ok(None));
         let empty = Plane::filled(0, 4, [0; 3]);
-        assert!(encode_frames(&[&empty], FRAME_BYTES).is_err());
+        assert!(encode_frames(&[&empty], 24.0, FRAME_BYTES).is_err());
+    }
+
+    #[test]
+    fn a_tiny_or_narrow_image_is_made_large_enough() {
+        let narrow = Plane::filled(3000, 20, [90; 3]);
+        let frames = encode_frames(&[&narrow], 24.0, FRAME_BYTES)
+            .unwrap()
+            .unwrap();
+        assert_eq!((frames.index.width, frames.index.height), (480, 16));
     }
 }

@@ -5,7 +5,7 @@ use m4_core::{Scene, SourceFrame};
 use serde::{Deserialize, Serialize};
 
 /// Version of the manifest; a page reads one.
-pub const MANIFEST_VERSION: u32 = 1;
+pub const MANIFEST_VERSION: u32 = 2;
 
 /// The JSON in the page. Axes, units and colours are those of [`m4_core`].
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -134,13 +134,17 @@ pub struct SafeOrbit {
     pub radius: f64,
 }
 
-/// Where each frame begins in the run of JPEGs.
+/// Where each frame begins in the clip, which is H.264 as a byte stream (Annex B).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameIndex {
     /// Columns of every frame.
     pub width: usize,
     /// Rows of every frame.
     pub height: usize,
+    /// Profile and level, as a browser is asked for them: `avc1.64001E`.
+    pub codec: String,
+    /// Decoding can begin at every so many frames, from the first one on.
+    pub key_every: usize,
     /// Bytes from the first; one more than there are frames.
     pub offsets: Vec<usize>,
 }

@@ -6,7 +6,7 @@
 //! <img id="m4-poster" alt="" style="--aspect:1.333333" src="data:image/jpeg;base64,..">
 //! <script type="application/json" id="m4-manifest">{..}</script>
 //! <script type="text/plain" id="m4-splats">BASE64 of gzip of the payload</script>
-//! <script type="text/plain" id="m4-frames">BASE64 of the JPEGs</script>
+//! <script type="text/plain" id="m4-frames">BASE64 of the clip of the source</script>
 //! ```
 //!
 //! the poster, which is the first of the frames and is seen while the rest is still being read, the
@@ -32,6 +32,8 @@ const MANIFEST: (&str, &str) = ("application/json", "m4-manifest");
 const SPLATS: (&str, &str) = ("text/plain", "m4-splats");
 const FRAMES: (&str, &str) = ("text/plain", "m4-frames");
 const END: &str = "</script>";
+/// What stands before the bytes of the poster.
+const POSTER: &str = "src=\"data:image/jpeg;base64,";
 
 /// Why a page cannot be made or read.
 #[derive(Debug, thiserror::Error)]
@@ -96,8 +98,8 @@ pub fn compose(
     // In JSON it is nowhere but in strings.
     let json = serde_json::to_string(parts.manifest)?.replace('<', "\\u003c");
     let mut out = before.as_bytes().to_vec();
-    if let Some(poster) = parts.frames.and_then(poster) {
-        out.extend_from_slice(poster.as_bytes());
+    if let Some(frames) = parts.frames {
+        out.extend_from_slice(poster(frames).as_bytes());
     }
     element(&mut out, MANIFEST, &json);
     if let Some(payload) = parts.payload {
@@ -112,16 +114,24 @@ pub fn compose(
     Ok(out)
 }
 
-/// The first frame as an element of its own; none where the frames have no first one.
-fn poster(frames: &Frames) -> Option<String> {
+/// The element of the first frame.
+fn poster(frames: &Frames) -> String {
     let index = &frames.index;
-    let (from, to) = (*index.offsets.first()?, *index.offsets.get(1)?);
-    let jpeg = frames.bytes.get(from..to).filter(|jpeg| !jpeg.is_empty())?;
     let aspect = index.width as f64 / index.height.max(1) as f64;
-    Some(format!(
-        "<img id=\"m4-poster\" alt=\"\" style=\"--aspect:{aspect:.6}\" src=\"data:image/jpeg;base64,{}\">",
-        STANDARD.encode(jpeg)
-    ))
+    format!(
+        "<img id=\"m4-poster\" alt=\"\" style=\"--aspect:{aspect:.6}\" {POSTER}{}\">",
+        STANDARD.encode(&frames.poster)
+    )
+}
+
+/// The bytes of that element, where it is there.
+fn poster_of(html: &str) -> Result<Option<Vec<u8>>, PageError> {
+    let rest = html.split_once("<img id=\"m4-poster\" ").map(|(_, r)| r);
+    let text = rest
+        .and_then(|rest| rest.split_once('>'))
+        .and_then(|(element, _)| element.split_once(POSTER))
+        .and_then(|(_, text)| text.strip_suffix('"'));
+    text.map(|text| bytes("m4-poster", text)).transpose()
 }
 
 fn opening((kind, id): (&str, &str)) -> String {
@@ -190,7 +200,12 @@ fn frames_of(html: &str, manifest: &Manifest) -> Result<Option<Frames>, PageErro
     if !ordered || index.offsets.last() != Some(&bytes.len()) {
         return Err(PageError::Offsets(bytes.len()));
     }
-    Ok(Some(Frames { index, bytes }))
+    let poster = poster_of(html)?.ok_or(PageError::Missing("m4-poster"))?;
+    Ok(Some(Frames {
+        index,
+        bytes,
+        poster,
+    }))
 }
 
 /// The text of an element, as a browser finds it.

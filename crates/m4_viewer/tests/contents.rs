@@ -17,7 +17,7 @@ fn a_scene_comes_back_out_of_the_page() {
     let images: Vec<RgbImage> = (0..scene.source.len())
         .map(|i| Plane::filled(60, 40, [20 * i as u8; 3]))
         .collect();
-    let frames = encode_frames(&images.iter().collect::<Vec<_>>(), FRAME_BYTES).unwrap();
+    let frames = encode_frames(&images.iter().collect::<Vec<_>>(), 9.0, FRAME_BYTES).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts {
         manifest: &manifest,
@@ -28,10 +28,7 @@ fn a_scene_comes_back_out_of_the_page() {
         let html = String::from_utf8(compose(TEMPLATE, &parts, compression).unwrap()).unwrap();
         assert!(!html.contains(MARKER) && !html.contains("</script><script>alert"));
         // what is seen first comes before what takes long to read
-        let first = frames
-            .as_ref()
-            .map(|f| &f.bytes[..f.index.offsets[1]])
-            .unwrap();
+        let first = frames.as_ref().map(|f| &f.poster).unwrap();
         let poster = format!(
             "style=\"--aspect:1.500000\" src=\"data:image/jpeg;base64,{}\">",
             STANDARD.encode(first)
@@ -157,6 +154,8 @@ fn damaged_pages_are_errors() {
     told.frames = Some(m4_viewer::FrameIndex {
         width: 4,
         height: 4,
+        codec: "avc1.640015".to_owned(),
+        key_every: 12,
         offsets: vec![0, 9],
     });
     let lies = Parts {

@@ -103,7 +103,7 @@ fn written(scene: &Scene, folder: &Path) -> String {
         .map(|s| drawn(scene, &s.camera, s.t))
         .collect();
     let images: Vec<&RgbImage> = images.iter().collect();
-    let frames = encode_frames(&images, FRAME_BYTES).unwrap();
+    let frames = encode_frames(&images, 9.0, FRAME_BYTES).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts {
         manifest: &manifest,

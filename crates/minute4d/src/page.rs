@@ -41,7 +41,7 @@ pub fn frames(capture: &Capture, scene: &Scene) -> Result<Option<Frames>, Error>
         return Ok(None);
     }
     let images: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
-    Ok(encode_frames(&images, FRAME_BYTES)?)
+    Ok(encode_frames(&images, source_fps(scene), FRAME_BYTES)?)
 }
 
 /// A page that is not written yet.

@@ -17,13 +17,8 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 
-/// Quantisation: coding begins to be seen at 26, and below 18 it costs bits without a visible gain.
-const QP: (u8, u8) = (20, 22);
 /// Bits per second that the encoder asks for. It steers nothing in the mode that is used here.
 const NOMINAL_BITS_PER_S: u32 = 2_000_000;
-/// Length of a piece, seconds, and its fewest frames: each begins with a frame that is coded by
-/// itself.
-const PIECE: (f64, usize) = (1.0, 12);
 /// Images that wait to be encoded, bytes. Two may always wait.
 const WAITING_BYTES: usize = 128 << 20;
 
@@ -52,6 +47,8 @@ impl From<openh264::Error> for Refused {
 pub(super) struct Pieces {
     fps: f64,
     matrix: YuvMatrix,
+    /// Least and most quantisation.
+    qp: (u8, u8),
     /// Frames of a piece.
     length: usize,
     /// Pieces at a time.
@@ -69,13 +66,21 @@ struct Piece {
 }
 
 impl Pieces {
-    /// Prepares for images of `size` at `fps` frames a second.
-    pub fn new(size: (usize, usize), fps: f64, matrix: YuvMatrix) -> Self {
+    /// Prepares for images of `size` at `fps` frames a second. Every `length`th frame is coded by
+    /// itself. `qp`: least and most quantisation.
+    pub fn new(
+        size: (usize, usize),
+        fps: f64,
+        matrix: YuvMatrix,
+        qp: (u8, u8),
+        length: usize,
+    ) -> Self {
         let most = (WAITING_BYTES / (3 * size.0 * size.1).max(1)).max(2);
         Self {
             fps,
             matrix,
-            length: ((PIECE.0 * fps).ceil() as usize).max(PIECE.1),
+            qp,
+            length,
             most: rayon::current_num_threads(),
             waiting: Arc::new(Waiting {
                 left: Mutex::new(most),
@@ -133,10 +138,10 @@ impl Pieces {
 
     fn start(&mut self) -> Result<(), Refused> {
         let (sender, images) = channel();
-        let (fps, matrix) = (self.fps, self.matrix);
+        let (fps, matrix, qp) = (self.fps, self.matrix, self.qp);
         let thread = thread::Builder::new()
             .name("encoder".to_owned())
-            .spawn(move || encode(images, fps, &matrix));
+            .spawn(move || encode(images, fps, &matrix, qp));
         let thread = thread
             .map_err(|error| Refused::Other(format!("no thread for it can be started: {error}")))?;
         self.running.push_back(Piece {
@@ -200,7 +205,12 @@ impl Drop for Image {
 }
 
 /// Encodes one piece.
-fn encode(images: Receiver<Image>, fps: f64, matrix: &YuvMatrix) -> Result<Vec<Coded>, Refused> {
+fn encode(
+    images: Receiver<Image>,
+    fps: f64,
+    matrix: &YuvMatrix,
+    qp: (u8, u8),
+) -> Result<Vec<Coded>, Refused> {
     let config = EncoderConfig::new()
         .profile(Profile::High)
         .vui(VuiConfig::bt709())
@@ -208,7 +218,7 @@ fn encode(images: Receiver<Image>, fps: f64, matrix: &YuvMatrix) -> Result<Vec<C
         .bitrate(BitRate::from_bps(NOMINAL_BITS_PER_S))
         // Constant quality: of all modes the one that follows the range of QP and nothing else.
         .rate_control_mode(RateControlMode::Bufferbased)
-        .qp(QpRange::new(QP.0, QP.1))
+        .qp(QpRange::new(qp.0, qp.1))
         // The first frame is the only one at which a player can enter.
         .intra_frame_period(IntraFramePeriod::from_num_frames(0))
         // Every frame counts, and one thread so that the bytes do not depend on the machine.

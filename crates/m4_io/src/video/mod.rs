@@ -32,10 +32,12 @@ mod h264;
 mod mp4;
 mod plan;
 mod read;
+mod stream;
 mod write;
 
 pub use decoder::{DecoderLimits, DecoderProgram, decoder_program, set_decoder_program};
 pub use h264::serve as serve_decoder;
 pub use plan::VideoOptions;
 pub use read::{image_files, read, read_with};
+pub use stream::{CodedFrames, CodedOptions, encode_frames};
 pub use write::Mp4Writer;

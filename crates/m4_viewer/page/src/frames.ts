@@ -1,12 +1,15 @@
-/** Frames of the source clip, decoded when they are needed. */
+/** Frames of the source clip, decoded when they are needed: in runs, each from a frame at which decoding can begin. */
 
+import { PageError, messageOf } from "./errors";
 import type { FrameIndex } from "./scene";
 
-/** Decoded frames that are kept. */
-const KEEP = 16;
+/** Runs that are kept decoded: the one in view, the next, and one that the pointer asks for. */
+const KEEP = 3;
 
 export class SourceFrames {
-  private readonly kept = new Map<number, Promise<ImageBitmap>>();
+  private readonly kept = new Map<number, Promise<ImageBitmap[]>>();
+  /** One run at a time: devices have few decoders. */
+  private last: Promise<unknown> = Promise.resolve();
 
   constructor(
     readonly index: FrameIndex,
@@ -17,25 +20,75 @@ export class SourceFrames {
     return this.index.offsets.length - 1;
   }
 
-  /** Frame `i`; rejects where it is not an image. */
-  frame(i: number): Promise<ImageBitmap> {
-    const known = this.kept.get(i);
-    if (known) {
-      // the newest at the end
-      this.kept.delete(i);
-      this.kept.set(i, known);
-      return known;
+  /** Frame `i`; rejects with a [PageError] where it cannot be decoded. */
+  async frame(i: number): Promise<ImageBitmap> {
+    const { key_every } = this.index;
+    const run = Math.floor(i / key_every);
+    const images = this.run(run);
+    // the next one is needed soon, at the end the first
+    if (2 * (i % key_every) >= key_every) {
+      this.run((run + 1) % Math.ceil(this.count / key_every)).catch(() => undefined);
     }
-    const [from, to] = [this.index.offsets[i] ?? 0, this.index.offsets[i + 1] ?? 0];
-    const picture = createImageBitmap(new Blob([this.bytes.slice(from, to)], { type: "image/jpeg" }));
-    this.kept.set(i, picture);
-    if (this.kept.size > KEEP) {
-      const oldest = this.kept.keys().next().value;
-      if (oldest !== undefined) {
-        void this.kept.get(oldest)?.then((b) => b.close(), () => undefined);
-        this.kept.delete(oldest);
-      }
-    }
-    return picture;
+    const image = (await images)[i % key_every];
+    if (!image) throw damaged(`frame ${i} is missing`);
+    return image;
   }
+
+  private run(run: number): Promise<ImageBitmap[]> {
+    const known = this.kept.get(run);
+    const images = known ?? this.last.catch(() => undefined).then(() => this.decoded(run));
+    if (!known) this.last = images;
+    // the newest at the end
+    this.kept.delete(run);
+    this.kept.set(run, images);
+    const [oldest] = this.kept;
+    if (oldest && this.kept.size > KEEP) {
+      this.kept.delete(oldest[0]);
+      oldest[1].then(
+        (old) => old.forEach((image) => image.close()),
+        () => undefined,
+      );
+    }
+    return images;
+  }
+
+  private async decoded(run: number): Promise<ImageBitmap[]> {
+    const { codec, width, height, key_every, offsets } = this.index;
+    const config: VideoDecoderConfig = { codec, codedWidth: width, codedHeight: height };
+    if (!("VideoDecoder" in window)) {
+      throw cannot("It has no WebCodecs, or offers them to https:// and local files alone");
+    }
+    const answer = await VideoDecoder.isConfigSupported(config);
+    if (!answer.supported) throw cannot(`It does not decode ${codec} (H.264)`);
+    const images: Promise<ImageBitmap>[] = [];
+    const decoder = new VideoDecoder({
+      output: (frame) => {
+        images[frame.timestamp] = createImageBitmap(frame).finally(() => frame.close());
+      },
+      // what waits for the end is told, too
+      error: () => undefined,
+    });
+    try {
+      decoder.configure(config);
+      const first = run * key_every;
+      for (let i = first; i < Math.min(first + key_every, this.count); i++) {
+        const data = this.bytes.subarray(offsets[i], offsets[i + 1]);
+        decoder.decode(new EncodedVideoChunk({ type: i === first ? "key" : "delta", timestamp: i - first, data }));
+      }
+      await decoder.flush();
+    } catch (error) {
+      throw damaged(messageOf(error));
+    } finally {
+      if (decoder.state !== "closed") decoder.close();
+    }
+    return Promise.all(images);
+  }
+}
+
+function cannot(why: string): PageError {
+  return new PageError("This browser cannot show the input frames", `${why}. The scene itself is complete.`);
+}
+
+function damaged(why: string): PageError {
+  return new PageError("These input frames are damaged", `${why}. Download the file again, or export it again.`);
 }

@@ -97,7 +97,14 @@ function frames(value: unknown, cameras: number): FrameIndex | null {
   if (!ordered || offsets.length !== cameras + 1) {
     throw damaged(`one more of \`frames.offsets\`, in order, than the ${cameras} cameras`);
   }
-  return { width: f.number("width", positive), height: f.number("height", positive), offsets };
+  const whole = (v: number): boolean => Number.isInteger(v) && v > 0;
+  return {
+    width: f.number("width", whole),
+    height: f.number("height", whole),
+    codec: f.text("codec"),
+    key_every: f.number("key_every", whole),
+    offsets,
+  };
 }
 
 function live(value: unknown): LiveSource | null {
@@ -109,10 +116,10 @@ function live(value: unknown): LiveSource | null {
 /** A checked manifest of parsed JSON; throws a [PageError] that names the field. */
 export function readManifest(value: unknown): Manifest {
   const f = Fields.of(value, "");
-  if (f.get("version") !== 1) {
+  if (f.get("version") !== 2) {
     throw new PageError(
       "This scene is of another version",
-      `The page reads version 1 and found ${JSON.stringify(f.get("version") ?? null)}. Export the page again with the same release of minute4d.`,
+      `The page reads version 2 and found ${JSON.stringify(f.get("version") ?? null)}. Export the page again with the same release of minute4d.`,
     );
   }
   const splats = f.object("splats");
@@ -124,7 +131,7 @@ export function readManifest(value: unknown): Manifest {
   const [x = 0, y = 0, z = 0] = f.numbers("centre", 3);
   const duration = f.get("duration_s");
   return {
-    version: 1,
+    version: 2,
     title: f.text("title"),
     splats: {
       static: splats.count("static"),

@@ -21,10 +21,14 @@ export interface SourceCamera {
   distance_sigma?: number;
 }
 
-/** The frames of the source clip as JPEGs, one a source camera, in one run of bytes. */
+/** The frames of the source clip, one a source camera, as H.264 in a byte stream (Annex B). */
 export interface FrameIndex {
   width: number;
   height: number;
+  /** Profile and level, as `VideoDecoder` is asked for them. */
+  codec: string;
+  /** Decoding can begin at every so many frames, from the first one on. */
+  key_every: number;
   /** Where each begins; one more than there are frames. */
   offsets: number[];
 }
@@ -40,7 +44,7 @@ export interface LiveSource {
 
 /** What is known of a scene besides its splats. */
 export interface Manifest {
-  version: 1;
+  version: 2;
   title: string;
   splats: {
     static: number;

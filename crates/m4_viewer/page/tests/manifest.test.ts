@@ -3,7 +3,7 @@ import { PageError } from "../src/errors";
 import { readManifest } from "../src/manifest";
 
 const good = {
-  version: 1,
+  version: 2,
   title: "A scene",
   splats: { static: 2, dynamic: 3, bound: 2, sh_degree: 1, time_degree: 0, isotropic: false, bytes: 99 },
   background: [0, 0.5, 1],
@@ -16,7 +16,7 @@ const good = {
   cameras: [{ t: 0, c2w: Array.from({ length: 16 }, (_, i) => i), fx: 5, fy: 6, cx: 7, cy: 8, width: 9, height: 10 }],
   centre: [0, 0, 1],
   safe: { radius: 0.5 },
-  frames: { width: 4, height: 3, offsets: [0, 10] },
+  frames: { width: 4, height: 3, codec: "avc1.640015", key_every: 12, offsets: [0, 10] },
   live: null,
 };
 
@@ -52,6 +52,8 @@ test.each([
   [{ cameras: {} }, "cameras"],
   [{ frames: { width: 4, height: 3, offsets: [0] } }, "frames.offsets"],
   [{ frames: { width: 4, height: 3, offsets: [9, 0] } }, "frames.offsets"],
+  [{ frames: { ...good.frames, key_every: 0 } }, "frames.key_every"],
+  [{ frames: { ...good.frames, codec: 264 } }, "frames.codec"],
   [{ safe: {} }, "safe.radius"],
   [{ centre: [0, 0, Number.NaN] }, "centre"],
   [{ live: { events: 1 } }, "live.events"],
@@ -68,6 +70,6 @@ test("cameras must be in the order of time", () => {
 });
 
 test("another version says so", () => {
-  expect(() => readManifest({ ...good, version: 2 })).toThrow("version 1 and found 2");
+  expect(() => readManifest({ ...good, version: 1 })).toThrow("version 2 and found 1");
   for (const nothing of [null, 3, "x", []]) expect(() => readManifest(nothing)).toThrow(PageError);
 });

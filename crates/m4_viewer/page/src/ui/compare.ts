@@ -4,6 +4,7 @@
  */
 
 import type { App } from "../app";
+import { PageError, toPageError } from "../errors";
 import type { SourceFrames } from "../frames";
 import { clamp } from "../maths";
 import { control, find, make, setAttribute } from "./dom";
@@ -44,11 +45,11 @@ export class Compare {
       if (!app.comparing) return () => undefined;
       const index = this.indexAt(view.t);
       // a frame that cannot be decoded says so itself
-      const bitmap = await this.frames.frame(index).catch(() => null);
+      const shown = await this.frames.frame(index).catch(toPageError);
       return () => {
         this.wanted = index;
-        if (bitmap) this.draw(index, bitmap);
-        else this.damaged();
+        if (shown instanceof PageError) this.refuse(shown);
+        else this.draw(index, shown);
       };
     };
     app.onChange(() => this.refresh());
@@ -98,15 +99,17 @@ export class Compare {
   }
 
   private draw(index: number, bitmap: ImageBitmap): void {
-    if (this.drawn === index) return;
+    // a closed image, which has no width, was asked for long ago
+    if (this.drawn === index || bitmap.width === 0) return;
     this.drawn = index;
     if (this.picture.width !== bitmap.width) this.picture.width = bitmap.width;
     if (this.picture.height !== bitmap.height) this.picture.height = bitmap.height;
     this.picture.getContext("2d")?.drawImage(bitmap, 0, 0);
   }
 
-  private damaged(): void {
-    this.tag.textContent = "This input frame is damaged";
+  private refuse(error: PageError): void {
+    this.tag.textContent = error.title;
+    this.tag.title = error.advice;
   }
 
   /** Draws a frame as soon as it is decoded, unless another is wanted by then. */
@@ -117,11 +120,7 @@ export class Compare {
       (bitmap) => {
         if (this.wanted === index) this.draw(index, bitmap);
       },
-      () => this.damaged(),
+      (error: unknown) => this.refuse(toPageError(error)),
     );
-    // the one after is needed soon
-    if (this.app.clock.playing && index + 1 < this.frames.count) {
-      this.frames.frame(index + 1).catch(() => undefined);
-    }
   }
 }

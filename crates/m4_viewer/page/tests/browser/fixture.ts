@@ -8,12 +8,15 @@ import type { Manifest, SceneData } from "../../src/scene";
 const STATIC = 220;
 const DYNAMIC = 80;
 export const FRAMES = 24;
-/** 16 x 9 pixels: red, green, blue. */
-export const JPEGS = [
-  "/9j/4AAQSkZJRgABAQAAAQABAAD/2wBDABALDA4MChAODQ4SERATGCgaGBYWGDEjJR0oOjM9PDkzODdASFxOQERXRTc4UG1RV19iZ2hnPk1xeXBkeFxlZ2P/2wBDARESEhgVGC8aGi9jQjhCY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2P/wAARCAAJABADASIAAhEBAxEB/8QAFQABAQAAAAAAAAAAAAAAAAAAAAX/xAAUEAEAAAAAAAAAAAAAAAAAAAAA/8QAFQEBAQAAAAAAAAAAAAAAAAAABAb/xAAUEQEAAAAAAAAAAAAAAAAAAAAA/9oADAMBAAIRAxEAPwCWAEpn/9k=",
-  "/9j/4AAQSkZJRgABAQAAAQABAAD/2wBDABALDA4MChAODQ4SERATGCgaGBYWGDEjJR0oOjM9PDkzODdASFxOQERXRTc4UG1RV19iZ2hnPk1xeXBkeFxlZ2P/2wBDARESEhgVGC8aGi9jQjhCY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2P/wAARCAAJABADASIAAhEBAxEB/8QAFQABAQAAAAAAAAAAAAAAAAAAAAL/xAAUEAEAAAAAAAAAAAAAAAAAAAAA/8QAFQEBAQAAAAAAAAAAAAAAAAAABQb/xAAUEQEAAAAAAAAAAAAAAAAAAAAA/9oADAMBAAIRAxEAPwCwAyff/9k=",
-  "/9j/4AAQSkZJRgABAQAAAQABAAD/2wBDABALDA4MChAODQ4SERATGCgaGBYWGDEjJR0oOjM9PDkzODdASFxOQERXRTc4UG1RV19iZ2hnPk1xeXBkeFxlZ2P/2wBDARESEhgVGC8aGi9jQjhCY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2P/wAARCAAJABADASIAAhEBAxEB/8QAFQABAQAAAAAAAAAAAAAAAAAAAAb/xAAUEAEAAAAAAAAAAAAAAAAAAAAA/8QAFQEBAQAAAAAAAAAAAAAAAAAAAwb/xAAUEQEAAAAAAAAAAAAAAAAAAAAA/9oADAMBAAIRAxEAPwCcAUwX/9k=",
+/** 32 x 18 pixels of H.264 (Baseline): red, green, blue; decoding can begin at the first and the last. */
+const CODED = [
+  "AAAAAWdCwArZCX4jAWoCAgKAAAADAIAAABgHiRMkAAAAAWjLg8sgAAABZYiECvEYoAAlvxwABCVjgACXhJ114A==",
+  "AAAAAUGaOBXxuKAAI70cAASQY4AAlY4nz+fw",
+  "AAAAAWdCwArZCX4jAWoCAgKAAAADAIAAABgHiRMkAAAAAWjLg8sgAAABZYiCAvxGKAAKXMcAATUo4AAgayddeA==",
 ].map((s) => Buffer.from(s, "base64"));
+/** A red JPEG of 16 x 9 pixels. */
+const POSTER =
+  "/9j/4AAQSkZJRgABAQAAAQABAAD/2wBDABALDA4MChAODQ4SERATGCgaGBYWGDEjJR0oOjM9PDkzODdASFxOQERXRTc4UG1RV19iZ2hnPk1xeXBkeFxlZ2P/2wBDARESEhgVGC8aGi9jQjhCY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2NjY2P/wAARCAAJABADASIAAhEBAxEB/8QAFQABAQAAAAAAAAAAAAAAAAAAAAX/xAAUEAEAAAAAAAAAAAAAAAAAAAAA/8QAFQEBAQAAAAAAAAAAAAAAAAAABAb/xAAUEQEAAAAAAAAAAAAAAAAAAAAA/9oADAMBAAIRAxEAPwCWAEpn/9k=";
 
 /** Always the same numbers in 0..1. */
 function numbers(seed: number): () => number {
@@ -86,9 +89,9 @@ export function fixture(): Fixture {
       height: 180,
     };
   });
-  const offsets = JPEGS.reduce<number[]>((all, j) => [...all, (all.at(-1) ?? 0) + j.length], [0]);
+  const offsets = CODED.reduce<number[]>((all, j) => [...all, (all.at(-1) ?? 0) + j.length], [0]);
   const manifest: Manifest = {
-    version: 1,
+    version: 2,
     title: "Test </script> scene",
     splats: { static: STATIC, dynamic: DYNAMIC, bound: 0, sh_degree: 1, time_degree: 1, isotropic: false, bytes: bytes.length },
     background: [0.1, 0.2, 0.3],
@@ -101,7 +104,7 @@ export function fixture(): Fixture {
     cameras,
     centre: [0, 0, 4],
     safe: { radius: 0.5 },
-    frames: { width: 16, height: 9, offsets },
+    frames: { width: 32, height: 18, codec: "avc1.42C00A", key_every: 2, offsets },
     live: null,
   };
   return { manifest, bytes, data: decodePayload(new Uint8Array(bytes), manifest) };
@@ -129,12 +132,11 @@ export interface Elements {
 
 /** What goes into the page, as text. */
 export function elements({ manifest, bytes }: Fixture): Elements {
-  const [first] = JPEGS;
   return {
-    poster: first?.toString("base64") ?? null,
+    poster: POSTER,
     manifest: JSON.stringify(manifest).replaceAll("</", "<\\/"),
     splats: gzipSync(bytes).toString("base64"),
-    frames: Buffer.concat(JPEGS).toString("base64"),
+    frames: Buffer.concat(CODED).toString("base64"),
   };
 }
 

@@ -28,8 +28,8 @@ flipped[packed.length >> 1] = (flipped[packed.length >> 1] ?? 0) ^ 255;
 test.each<[string, Partial<Elements>, RegExp]>([
   ["no manifest", { manifest: null }, /no scene in this page/],
   ["no JSON", { manifest: "{" }, /not JSON/],
-  ["another version", { manifest: '{"version":2}' }, /another version/],
-  ["a field that is missing", { manifest: '{"version":1}' }, /`splats`/],
+  ["another version", { manifest: '{"version":1}' }, /another version/],
+  ["a field that is missing", { manifest: '{"version":2}' }, /`splats`/],
   ["no splats", { splats: null }, /truncated/],
   ["half of the splats", { splats: (good.splats ?? "").slice(0, 4000) }, /damaged/],
   ["other bytes", { splats: flipped.toString("base64") }, /damaged/],
@@ -48,6 +48,23 @@ test("truncated input frames leave the scene intact", async () => {
   await page.waitForSelector("#toast:not([hidden])");
   expect(await page.innerText("#toast")).toMatch(/input frames/);
   expect(await page.isVisible('[data-control="side"]')).toBe(false);
+});
+
+async function withoutDecoder(page: Page): Promise<void> {
+  await page.addInitScript(() => Reflect.deleteProperty(window, "VideoDecoder"));
+}
+test.each([
+  ["damaged input frames", {}, undefined, /frames are damaged/],
+  ["a browser without WebCodecs", good, withoutDecoder, /browser cannot show/],
+])("%s: said in their place", async (name, change, prepare, expected) => {
+  // of the right length, and no H.264
+  const frames = "A".repeat((good.frames ?? "").length);
+  const url = bench.file(`${name}.html`, pageWith({ ...good, frames, ...change }));
+  const { page } = await bench.open(url, { viewport: { width: 1000, height: 600 } }, prepare);
+  await ready(page);
+  await page.click('[data-control="side"]');
+  await expect.poll(() => page.innerText("#compare .tag")).toMatch(expected);
+  expect(await page.isVisible(".card.message"), "the scene stays").toBe(false);
 });
 
 test("a scene without input frames has nothing to compare with", async () => {
