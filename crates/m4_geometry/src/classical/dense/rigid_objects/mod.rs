@@ -17,6 +17,7 @@
 //! scale.
 
 mod ballistic;
+mod contact;
 mod edges;
 mod flight;
 mod ground;
@@ -135,10 +136,12 @@ pub(super) fn place<'s>(
 ) -> Result<Vec<DynamicObject>, DenseError> {
     let tracklets = follow(clip);
     let before: &[Vec<f32>] = disparity;
+    let ground = ground::find(clip);
+    let down = ground.map(|ground| ground.down);
     let phase = "shaping moving parts";
     let bodies = each(tracklets.len(), phase, progress, |i| {
         let t = &tracklets[i];
-        let shape = rigid::reconstruct(clip, t, before, progress)?;
+        let shape = rigid::reconstruct(clip, t, before, down, progress)?;
         let reading = scale::read(clip, t, &shape)?;
         Some((t, shape, reading))
     })?;
@@ -153,7 +156,7 @@ pub(super) fn place<'s>(
             .map(|(_, _, reading)| reading)
             .collect::<Vec<_>>(),
     );
-    let falls = match ground::find(clip) {
+    let falls = match ground {
         Some(ground) => falls(clip, &ground, &bodies, &scales),
         None => vec![None; bodies.len()],
     };

@@ -4,11 +4,12 @@
 use super::BLOCK_PX;
 use super::edges::Part;
 use super::residual::{offset_px, ray_at};
-use super::shape::USUAL_RELIEF;
+use super::shape::{USUAL_RELIEF, ray};
 use super::silhouette::radius_px;
 use crate::classical::dense::working::pixel_at;
 use crate::dba::{Factor, Geometry, WEIGHT_SCALE};
 use m4_core::quantile;
+use nalgebra::Vector3;
 
 /// How many times the prior of relief counts: noise of the flow is alike in neighbouring blocks and
 /// over the spans of an edge. On eight of nine scenes 1 and 4 are as good.
@@ -25,6 +26,9 @@ const MOST_CHANGE: f32 = 0.3;
 /// Neighbours count by one over their distance to this power: what hangs on a piece is as far as
 /// the nearest of it, and what is far from it is as far as its mean.
 const FADING: f32 = 3.0;
+/// Least disparity of an upright plane at unit distance, times that distance: in the middle of an
+/// image, the cosine of how far the camera looks down. Such a plane is too oblique to say anything.
+const LEAST_LEVEL: f64 = 0.25;
 /// Most blocks of a piece that others are filled from; of more, every nth is taken.
 const MOST_BLOCKS: usize = 500;
 
@@ -121,11 +125,23 @@ pub(super) fn agree(geometry: &mut Geometry<f32>, edges: &[&Factor<f32>]) {
 
 /// Gives every block of the part a disparity: those without one, 0, that of the piece, near blocks
 /// the more; averaged over a sixth of a second before and after, so that blocks at the edge of the
-/// piece stay at one distance.
-pub(super) fn fill(part: &Part<'_>, disparity: &mut [Vec<f32>]) {
+/// piece stay at one distance. Where it is known which way is `down` (in the world, of length 1),
+/// legs hang below a trunk and a head is above it: they lie on an upright plane with it that faces
+/// the camera, not at one z-depth, which a camera that looks down has greater below.
+pub(super) fn fill(part: &Part<'_>, down: Option<&Vector3<f64>>, disparity: &mut [Vec<f32>]) {
     let piece = disparity.to_vec();
+    let upright = |k: usize| down.map(|down| upright(part, k, down));
     for (k, disparity) in disparity.iter_mut().enumerate() {
+        let profile = upright(k).unwrap_or_else(|| vec![1.0; disparity.len()]);
+        disparity
+            .iter_mut()
+            .zip(&profile)
+            .for_each(|(d, p)| *d /= p);
         fill_frame(part, k, disparity);
+        disparity
+            .iter_mut()
+            .zip(&profile)
+            .for_each(|(d, p)| *d *= p);
     }
     let filled = disparity.to_vec();
     let (grid, [left, top]) = (part.blocks.grid, part.blocks.corner.map(|c| c as f32));
@@ -151,6 +167,29 @@ pub(super) fn fill(part: &Part<'_>, disparity: &mut [Vec<f32>]) {
             .zip(&weights)
             .for_each(|(d, weight)| *d /= weight);
     }
+}
+
+/// By block of frame `k`, the disparity of an upright plane that faces the camera at unit distance
+/// along the horizon; 1 where the camera looks too steeply for one to be in view.
+fn upright(part: &Part<'_>, k: usize, down: &Vector3<f64>) -> Vec<f32> {
+    let blocks = 0..part.blocks.grid.len();
+    let Some(camera) = part.clip.cameras.get(part.tracklet.first + k) else {
+        return vec![1.0; blocks.len()];
+    };
+    let down = camera.c2w.rotation.transpose() * down;
+    // of the optical axis, what is level
+    let level = Vector3::z() - down.z * down;
+    let disparity = |g: usize| {
+        let (x, y) = part.blocks.pixel(g);
+        level.dot(&ray(camera, x, y))
+    };
+    let in_view = blocks.clone().filter(|&g| part.has(k, g));
+    if in_view.map(disparity).any(|d| d < LEAST_LEVEL) {
+        return vec![1.0; blocks.len()];
+    }
+    blocks
+        .map(|g| disparity(g).max(LEAST_LEVEL) as f32)
+        .collect()
 }
 
 fn fill_frame(part: &Part<'_>, k: usize, disparity: &mut [f32]) {
@@ -184,11 +223,12 @@ fn fill_frame(part: &Part<'_>, k: usize, disparity: &mut [f32]) {
 #[cfg(test)]
 mod tests {
     use super::super::Tracklet;
-    use super::{Factor, Geometry, Part, agree, fill, flatten, noise_px};
+    use super::{Factor, Geometry, Part, agree, fill, flatten, noise_px, ray};
     use crate::classical::dense::working::ClipData;
     use crate::dba::{Grid, Pinhole};
     use crate::flow::FlowPair;
-    use m4_core::{Flow, Se3};
+    use m4_core::{Camera, Flow, Intrinsics, Se3};
+    use nalgebra::{Rotation3, Vector3};
 
     const SIDE: usize = 40;
     const FRAMES: usize = 3;
@@ -259,9 +299,9 @@ mod tests {
         assert!((geometry.disparity[1][3] - 1.05).abs() < 1e-3);
     }
 
-    #[test]
-    fn what_is_no_piece_is_as_far_as_the_nearest_of_it() {
-        let still = || Flow {
+    /// A clip in which nothing moves, and a part that is all of it.
+    fn still(cameras: Vec<Camera>) -> (ClipData, Tracklet) {
+        let flow = || Flow {
             width: SIDE,
             height: SIDE,
             u: vec![0.0; SIDE * SIDE],
@@ -269,13 +309,13 @@ mod tests {
         };
         let data = ClipData {
             size: (SIDE, SIDE),
-            cameras: Vec::new(),
+            cameras,
             dynamic: Vec::new(),
             disparity: Vec::new(),
             flows: (1..FRAMES)
                 .map(|_| FlowPair {
-                    forward: still(),
-                    backward: still(),
+                    forward: flow(),
+                    backward: flow(),
                 })
                 .collect(),
         };
@@ -283,6 +323,43 @@ mod tests {
             first: 0,
             parts: vec![(0..(SIDE * SIDE) as u32).collect(); FRAMES],
         };
+        (data, tracklet)
+    }
+
+    #[test]
+    fn legs_hang_below_a_trunk_though_the_camera_looks_down() {
+        let turn = Rotation3::from_axis_angle(&Vector3::x_axis(), -0.3).into_inner();
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(SIDE, SIDE, 50.0),
+            c2w: Se3 {
+                rotation: turn,
+                translation: Vector3::zeros(),
+            },
+        };
+        let (data, tracklet) = still(vec![camera; FRAMES]);
+        let clip = data.clip();
+        let part = Part::of(&clip, &tracklet);
+        // of a wall three units ahead along the horizon
+        let wall = |g: usize| {
+            let (x, y) = part.blocks.pixel(g);
+            (turn * ray(&camera, x, y)).z as f32 / 3.0
+        };
+        let (blocks, width) = (0..part.blocks.grid.len(), part.blocks.grid.width);
+        let upper = |g: usize| if g / width < 4 { wall(g) } else { 0.0 };
+        let upper: Vec<f32> = blocks.clone().map(upper).collect();
+        let mut disparity = vec![upper; FRAMES];
+        fill(&part, Some(&Vector3::y()), &mut disparity);
+        for g in blocks {
+            let off = (disparity[1][g] / wall(g)).ln();
+            assert!(off.abs() < 1e-4, "block {g}: {off}");
+        }
+        // it differs from one z-depth
+        assert!((wall(0) / wall(width * (width - 1))).ln() > 0.15);
+    }
+
+    #[test]
+    fn what_is_no_piece_is_as_far_as_the_nearest_of_it() {
+        let (data, tracklet) = still(Vec::new());
         let clip = data.clip();
         let part = Part::of(&clip, &tracklet);
         let width = part.blocks.grid.width;
@@ -298,7 +375,7 @@ mod tests {
             (0..part.blocks.grid.len()).map(value).collect()
         };
         let mut disparity: Vec<Vec<f32>> = (0..FRAMES).map(of_frame).collect();
-        fill(&part, &mut disparity);
+        fill(&part, None, &mut disparity);
         let [left, right] = [0, width - 1].map(|x| disparity[0][4 * width + x]);
         assert!(left > 1.5 && right < 1.5 && right > 1.0, "{left} {right}");
         assert_eq!(disparity[0][0], 2.0);

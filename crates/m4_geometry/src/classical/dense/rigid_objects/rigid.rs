@@ -6,6 +6,7 @@ use super::shape::{Shape, Whole, shrink_relief};
 use super::{BLOCK_PX, Tracklet, WorkingClip, pieces, relief, reversal, silhouette};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Pinhole, Problem, adjust};
 use m4_core::{Camera, Progress, Se3, quantile};
+use nalgebra::Vector3;
 
 /// Fewest adjusted pixels per frame.
 const LEAST_POINTS: usize = 12;
@@ -42,12 +43,13 @@ const HELD: [(Free, usize, f64); 1] = [(Free::PosesAndDepth, 8, 1.0)];
 const ROUNDS: usize = 5;
 
 /// Adjusts one part; `before` is the disparity that it was believed to have. What is rigid in it
-/// has the shape of that piece alone; the rest is as far as the nearest of it. Stops between steps
-/// where `progress` says so.
+/// has the shape of that piece alone; the rest is above or below the nearest of it, by `down` (in
+/// the world, of length 1), or as far as that. Stops between steps where `progress` says so.
 pub(super) fn reconstruct(
     clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
     before: &[Vec<f32>],
+    down: Option<Vector3<f64>>,
     progress: &dyn Progress,
 ) -> Option<Shape> {
     let part = Part::of(clip, tracklet);
@@ -82,7 +84,7 @@ pub(super) fn reconstruct(
     let Some(ratio) = quantile(&mut ratios, 0.5) else {
         return Some(whole);
     };
-    relief::fill(&part, &mut disparity);
+    relief::fill(&part, down.as_ref(), &mut disparity);
     Some(Shape {
         poses: poses(geometry, unit),
         disparity,

@@ -1,5 +1,6 @@
 //! The one number that the motion of a part does not reveal.
 
+use super::contact::Plane;
 use super::hinge;
 use super::shape::Shape;
 use super::vote::Vote;
@@ -144,11 +145,16 @@ fn fixed_point(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Op
 /// The scale by the ground under a part. Where its frames differ by more than [`UNSTEADY`], it
 /// hovers or leaps: every frame is then a lower bound, as far below the scale as it is above the
 /// ground, and the scale is above their median by about the spread of what is left (exactly so for
-/// heights with an exponential distribution, but for 3 %).
+/// heights with an exponential distribution, but for 3 %). That spread is drawn to nothing by the
+/// share of the variance that is [`UNSTEADY`] (James and Stein 1961): frames hardly less steady
+/// than feet say little of heights.
 fn contact(standing: &mut [f32]) -> Option<Vote> {
     let vote = Vote::of_frames(standing, CONTACT_SIGMA)?;
-    let spread = (vote.sigma.powi(2) - CONTACT_SIGMA.powi(2)).max(0.0).sqrt();
-    let height = (spread.powi(2) - UNSTEADY.powi(2)).max(0.0).sqrt();
+    let variance = vote.sigma.powi(2) - CONTACT_SIGMA.powi(2);
+    let height = match variance > UNSTEADY.powi(2) {
+        true => variance.sqrt() * (1.0 - UNSTEADY.powi(2) / variance),
+        false => 0.0,
+    };
     Some(Vote {
         factor: vote.factor * height.exp(),
         ..vote
@@ -233,21 +239,29 @@ impl Bound {
 
 fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<Bound> {
     let (w, h) = (clip.width, clip.height);
-    let background = &clip.disparity[tracklet.first + k];
+    let i = tracklet.first + k;
+    let background = &clip.disparity[i];
     let pixels = &tracklet.parts[k];
     let row = |i: u32| i as usize / w;
     let (top, bottom) = (row(*pixels.first()?), row(*pixels.last()?));
     let feet_from = bottom - ((bottom - top) as f32 * FEET_SHARE) as usize;
+    let plane = match bottom + 1 + BELOW_PX < h {
+        true => Plane::under(clip, i, pixels),
+        false => None,
+    };
     let (mut feet, mut hidden, mut own, mut slope) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (p, d) in shape.values(clip, k) {
         own.push(d);
         hidden.push(background[p as usize] / d);
-        if row(p) + 2 >= feet_from && bottom + 1 + BELOW_PX < h {
-            let below = (bottom + BELOW_PX).min(h - 1);
-            let ground = |y: usize| background[y * w + p as usize % w];
-            feet.push(ground(below) / d);
+        if row(p) + 2 >= feet_from
+            && let Some(plane) = &plane
+        {
+            let x = p as usize % w;
+            feet.push((plane.at(x as f64, bottom as f64) as f32).max(0.0) / d);
+            let below = bottom + BELOW_PX;
             let further = (below + SLOPE_ROWS).min(h - 1);
+            let ground = |y: usize| background[y * w + x];
             slope.push((ground(further) / ground(below) - 1.0) / (further - below).max(1) as f32);
         }
     }
@@ -341,7 +355,7 @@ mod tests {
             let vote = leaps(height);
             let off = vote.factor.ln().abs();
             assert!(
-                off < 0.25 * height && off < vote.sigma,
+                off < 0.35 * height && off < vote.sigma,
                 "{height}: {vote:?}"
             );
         }

@@ -78,7 +78,7 @@ impl Shape {
 }
 
 /// The direction of a pixel in the camera, of z 1.
-fn ray(camera: &Camera, x: usize, y: usize) -> Vector3<f64> {
+pub(super) fn ray(camera: &Camera, x: usize, y: usize) -> Vector3<f64> {
     let k = &camera.intrinsics;
     Vector3::new(
         (x as f64 + 0.5 - k.cx) / k.fx,
