@@ -52,9 +52,11 @@ const MOST_QP: u8 = 36;
 const LEAST_SIDE_PX: usize = 96;
 /// Shortest side that can be encoded.
 const LEAST_PX: usize = 16;
-/// Seconds from one frame at which decoding can begin to the next, and the fewest frames: a jump to
-/// another time waits for half of them to be decoded.
-const KEYS: (f64, usize) = (0.5, 12);
+/// Seconds from one frame at which decoding can begin to the next: a jump to another time waits for
+/// all of them. And the fewest and the most frames: the page keeps three such runs in memory.
+const KEYS: (f64, usize, usize) = (0.5, 12, 30);
+/// Rates that can be encoded, frames a second; others count as the nearest.
+const FPS: (f64, f64) = (0.1, 1000.0);
 /// Runs from one such frame to the next that are tried before all are encoded.
 const SAMPLES: usize = 4;
 /// JPEG quality of the poster, 1 to 100.
@@ -80,7 +82,11 @@ pub fn encode_frames(
     let Some(first) = images.first() else {
         return Ok(None);
     };
-    let key_every = ((KEYS.0 * fps).ceil() as usize).max(KEYS.1);
+    let fps = match fps.is_nan() {
+        true => FPS.0,
+        false => fps.clamp(FPS.0, FPS.1),
+    };
+    let key_every = ((KEYS.0 * fps).ceil() as usize).clamp(KEYS.1, KEYS.2);
     let mut side = SIDE_PX;
     let mut options = CodedOptions {
         fps,
@@ -226,6 +232,15 @@ mod tests {
         assert_eq!(encode_frames(&[], 24.0, FRAME_BYTES), Ok(None));
         let empty = Plane::filled(0, 4, [0; 3]);
         assert!(encode_frames(&[&empty], 24.0, FRAME_BYTES).is_err());
+    }
+
+    #[test]
+    fn any_rate_can_be_encoded() {
+        let grey = Plane::filled(40, 30, [90; 3]);
+        for (fps, key_every) in [(f64::NAN, 12), (0.0, 12), (240.0, 30), (f64::INFINITY, 30)] {
+            let frames = encode_frames(&[&grey; 40], fps, FRAME_BYTES).unwrap();
+            assert_eq!(frames.unwrap().index.key_every, key_every, "{fps}");
+        }
     }
 
     #[test]

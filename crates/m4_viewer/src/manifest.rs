@@ -143,7 +143,7 @@ pub struct FrameIndex {
     pub height: usize,
     /// Profile and level, as a browser is asked for them: `avc1.64001E`.
     pub codec: String,
-    /// Decoding can begin at every so many frames, from the first one on.
+    /// Frames from one at which decoding can begin to the next; the first is one.
     pub key_every: usize,
     /// Bytes from the first; one more than there are frames.
     pub offsets: Vec<usize>,

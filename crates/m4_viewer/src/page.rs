@@ -32,7 +32,7 @@ const MANIFEST: (&str, &str) = ("application/json", "m4-manifest");
 const SPLATS: (&str, &str) = ("text/plain", "m4-splats");
 const FRAMES: (&str, &str) = ("text/plain", "m4-frames");
 const END: &str = "</script>";
-/// What stands before the bytes of the poster.
+/// Text before the bytes of the poster.
 const POSTER: &str = "src=\"data:image/jpeg;base64,";
 
 /// Why a page cannot be made or read.

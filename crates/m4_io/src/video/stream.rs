@@ -1,4 +1,4 @@
-//! Encodes images as coded frames without a container, for who decodes single ones of them.
+//! Encodes images as coded frames without a container, so that single frames can be decoded.
 
 use super::colour::{Range, YuvMatrix};
 use super::encode::{Pieces, Refused};
@@ -17,20 +17,24 @@ pub struct CodedFrames {
 /// How images are encoded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CodedOptions {
-    /// Images a second.
+    /// Images a second, 0.1 to 1000.
     pub fps: f64,
     /// Quantisation, 0 to 51: coding begins to be visible at 26; 6 more halve the bytes.
     pub qp: u8,
-    /// Decoding can begin at every so many frames, from the first one on.
+    /// Frames from one at which decoding can begin to the next, at least 1.
     pub key_every: usize,
 }
 
 /// Encodes images of one size, 16 pixels or more a side; the same bytes for any number of threads.
-/// Fails with the reason where the encoder does.
+/// Fails with the reason where an option is out of its range or the encoder fails.
 pub fn encode_frames(
     images: impl IntoIterator<Item = RgbImage>,
     options: &CodedOptions,
 ) -> Result<CodedFrames, String> {
+    let CodedOptions { fps, qp, key_every } = *options;
+    if !(0.1..=1000.0).contains(&fps) || qp > 51 || key_every == 0 {
+        return Err(format!("{options:?} is out of range"));
+    }
     let mut images = images.into_iter().peekable();
     let Some(size) = images.peek().map(RgbImage::size) else {
         return Err("there are no images".to_owned());
@@ -40,8 +44,7 @@ pub fn encode_frames(
         Refused::Encoder(error) => format!("{error}"),
         Refused::Other(reason) => reason,
     };
-    let quality = (options.qp, options.qp);
-    let mut pieces = Pieces::new(size, options.fps, matrix, quality, options.key_every);
+    let mut pieces = Pieces::new(size, fps, matrix, (qp, qp), key_every);
     let mut coded = Vec::new();
     for image in images {
         if image.size() != size {
@@ -54,10 +57,7 @@ pub fn encode_frames(
     }
     coded.extend(pieces.finish().map_err(reason)?);
     let keys = coded.iter().enumerate().filter(|(_, c)| c.key);
-    if !keys
-        .map(|(i, _)| i)
-        .eq((0..coded.len()).step_by(options.key_every))
-    {
+    if !keys.map(|(i, _)| i).eq((0..coded.len()).step_by(key_every)) {
         return Err("the encoder moved the frames at which decoding can begin".to_owned());
     }
     let frames: Vec<_> = coded.into_iter().map(|c| c.bytes).collect();
@@ -67,7 +67,7 @@ pub fn encode_frames(
 
 /// The name of profile and level, from the sequence parameters of a frame.
 fn codec(frame: &[u8]) -> Option<String> {
-    // a unit begins after 0, 0, 1; its type is in the lower five bits, and 7 is what is wanted
+    // a unit begins after 0, 0, 1; its type is in the lower five bits, 7 for these parameters
     let unit = frame
         .windows(7)
         .find(|bytes| bytes[..3] == [0, 0, 1] && bytes[3] & 31 == 7)?;
@@ -90,7 +90,7 @@ mod tests {
 
     fn images(n: usize) -> Vec<RgbImage> {
         (0..n)
-            .map(|i| Plane::from_fn(50, 34, |x, y| [(5 * x) as u8, (7 * y) as u8, 20 * i as u8]))
+            .map(|i| Plane::from_fn(50, 34, |x, _| [(20 * i + x) as u8; 3]))
             .collect()
     }
 
@@ -107,11 +107,10 @@ mod tests {
                 assert_eq!(image.dimensions(), (50, 34));
                 let mut rgb = vec![0; 50 * 34 * 3];
                 image.write_rgb8(&mut rgb);
-                let middle = &rgb[3 * (17 * 50 + 25)..][..2];
+                let middle = &rgb[3 * (17 * 50 + 25)..][..3];
                 let expected = images[i][(25, 17)];
-                // the decoder's matrix is another than ours
                 assert!(
-                    middle.iter().zip(expected).all(|(a, b)| a.abs_diff(b) < 24),
+                    middle.iter().zip(expected).all(|(a, b)| a.abs_diff(b) < 8),
                     "frame {i}: {middle:?}, not {expected:?}"
                 );
             }
@@ -121,6 +120,16 @@ mod tests {
     #[test]
     fn images_that_cannot_be_encoded_are_refused() {
         assert!(encode_frames([], &OPTIONS).is_err());
+        let never = CodedOptions {
+            key_every: 0,
+            ..OPTIONS
+        };
+        assert!(encode_frames(images(2), &never).is_err());
+        let unknown = CodedOptions {
+            fps: f64::NAN,
+            ..OPTIONS
+        };
+        assert!(encode_frames(images(2), &unknown).is_err());
         let mut other = images(2);
         other.push(Plane::filled(16, 16, [0; 3]));
         let reason = encode_frames(other, &OPTIONS).unwrap_err();

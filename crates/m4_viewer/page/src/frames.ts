@@ -63,9 +63,12 @@ export class SourceFrames {
     const images: Promise<ImageBitmap>[] = [];
     const decoder = new VideoDecoder({
       output: (frame) => {
-        images[frame.timestamp] = createImageBitmap(frame).finally(() => frame.close());
+        const image = createImageBitmap(frame).finally(() => frame.close());
+        // where decoding fails, nothing waits for the images before
+        image.catch(() => undefined);
+        images[frame.timestamp] = image;
       },
-      // what waits for the end is told, too
+      // `flush` fails as well
       error: () => undefined,
     });
     try {
@@ -76,12 +79,12 @@ export class SourceFrames {
         decoder.decode(new EncodedVideoChunk({ type: i === first ? "key" : "delta", timestamp: i - first, data }));
       }
       await decoder.flush();
+      return await Promise.all(images);
     } catch (error) {
       throw damaged(messageOf(error));
     } finally {
       if (decoder.state !== "closed") decoder.close();
     }
-    return Promise.all(images);
   }
 }
 

@@ -27,7 +27,7 @@ export interface FrameIndex {
   height: number;
   /** Profile and level, as `VideoDecoder` is asked for them. */
   codec: string;
-  /** Decoding can begin at every so many frames, from the first one on. */
+  /** Frames from one at which decoding can begin to the next; the first is one. */
   key_every: number;
   /** Where each begins; one more than there are frames. */
   offsets: number[];

@@ -17,11 +17,11 @@
 //! scale.
 
 mod ballistic;
-mod contact;
 mod edges;
 mod flight;
 mod ground;
 mod hinge;
+mod local_ground;
 mod pieces;
 mod relief;
 mod residual;

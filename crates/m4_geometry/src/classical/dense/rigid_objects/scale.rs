@@ -1,7 +1,7 @@
 //! The one number that the motion of a part does not reveal.
 
-use super::contact::Plane;
 use super::hinge;
+use super::local_ground::LocalGround;
 use super::shape::Shape;
 use super::vote::Vote;
 use super::{DistanceCue, OCCLUSION_RANGE, Tracklet, WorkingClip};
@@ -245,8 +245,8 @@ fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -
     let row = |i: u32| i as usize / w;
     let (top, bottom) = (row(*pixels.first()?), row(*pixels.last()?));
     let feet_from = bottom - ((bottom - top) as f32 * FEET_SHARE) as usize;
-    let plane = match bottom + 1 + BELOW_PX < h {
-        true => Plane::under(clip, i, pixels),
+    let local = match bottom + 1 + BELOW_PX < h {
+        true => LocalGround::under(clip, i, pixels),
         false => None,
     };
     let (mut feet, mut hidden, mut own, mut slope) =
@@ -255,10 +255,10 @@ fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -
         own.push(d);
         hidden.push(background[p as usize] / d);
         if row(p) + 2 >= feet_from
-            && let Some(plane) = &plane
+            && let Some(local) = &local
         {
             let x = p as usize % w;
-            feet.push((plane.at(x as f64, bottom as f64) as f32).max(0.0) / d);
+            feet.push((local.at(x as f64, bottom as f64) as f32).max(0.0) / d);
             let below = bottom + BELOW_PX;
             let further = (below + SLOPE_ROWS).min(h - 1);
             let ground = |y: usize| background[y * w + x];

@@ -1,4 +1,4 @@
-//! The ground around the feet of a part: the plane that what is static there lies on.
+//! The ground around the feet of a part: the plane of the static pixels there.
 //!
 //! The disparity of a plane is affine in the pixel, so that one fit of many pixels gives the ground
 //! at the feet themselves, where the image shows none of it. What is filled in behind a part, and
@@ -25,19 +25,19 @@ const TOLERANCE: f64 = 2.0;
 
 /// Disparity as an affine function of the pixel.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Plane {
+pub(super) struct LocalGround {
     /// By column, by row, and at pixel 0, 0.
     coefficients: Vector3<f64>,
 }
 
-impl Plane {
+impl LocalGround {
     /// The disparity at a pixel.
     pub fn at(&self, x: f64, y: f64) -> f64 {
         self.coefficients.dot(&Vector3::new(x, y, 1.0))
     }
 
-    /// The plane that most of what is static around the lowest of `pixels` in frame `i` lies on;
-    /// `None` where little of it is static.
+    /// The plane of most static pixels around the lowest of `pixels` (rising) in frame `i`; `None`
+    /// where there are few.
     pub fn under(clip: &WorkingClip<'_>, i: usize, pixels: &[u32]) -> Option<Self> {
         let (w, h) = (clip.width, clip.height);
         let column = |p: &u32| *p as usize % w;
@@ -104,14 +104,14 @@ fn fitted(samples: &[(Vector3<f64>, f64)], weights: &[f64]) -> Option<Vector3<f6
 
 #[cfg(test)]
 mod tests {
-    use super::Plane;
+    use super::LocalGround;
     use crate::classical::dense::working::ClipData;
 
     const W: usize = 80;
     const H: usize = 60;
 
     #[test]
-    fn the_ground_is_read_through_what_stands_on_it_and_beside_it() {
+    fn objects_on_the_ground_and_beside_it_do_not_move_it() {
         let ground = |x: f32, y: f32| 0.2 + 0.001 * x + 0.01 * y;
         // a part, what was filled in behind it, and a static box beside it
         let part = |x: usize, y: usize| (30..50).contains(&x) && (20..40).contains(&y);
@@ -132,7 +132,7 @@ mod tests {
         let pixels: Vec<u32> = (0..(W * H) as u32)
             .filter(|p| part(*p as usize % W, *p as usize / W))
             .collect();
-        let plane = Plane::under(&data.clip(), 0, &pixels).unwrap();
+        let plane = LocalGround::under(&data.clip(), 0, &pixels).unwrap();
         let off = (plane.at(40.0, 39.0) / f64::from(ground(40.0, 39.0))).ln();
         assert!(off.abs() < 0.005, "{off}");
     }
