@@ -6,10 +6,11 @@
 //! masks, flow -> tracklet: one part through time; objects that touch in the image are separated by other frames
 //!             -> edges: where its pixels are in other frames; silhouette: how near it is by its size
 //!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale;
-//!                reversal: frames that took the mirror image are turned back
+//!                reversal: frames that took the mirror image are turned back, by the flow and by
+//!                shape_prior: a part stands on the ground (contact) and bulges towards the camera
 //!             -> pieces: the largest piece that is rigid, by the space of its paths; it is adjusted alone, and
 //!                relief carries its shape on to the rest
-//!             -> scale: the one number that is left
+//!             -> scale: the one number that is left, by contact, hinge or fall
 //!             -> ballistic: objects in flight share one acceleration
 //! ```
 //!
@@ -17,6 +18,7 @@
 //! scale.
 
 mod ballistic;
+mod contact;
 mod edges;
 mod flight;
 mod ground;
@@ -29,6 +31,7 @@ mod reversal;
 mod rigid;
 mod scale;
 mod shape;
+mod shape_prior;
 mod silhouette;
 mod subspace;
 #[cfg(test)]

@@ -125,23 +125,19 @@ pub(super) fn agree(geometry: &mut Geometry<f32>, edges: &[&Factor<f32>]) {
 
 /// Gives every block of the part a disparity: those without one, 0, that of the piece, near blocks
 /// the more; averaged over a sixth of a second before and after, so that blocks at the edge of the
-/// piece stay at one distance. Where it is known which way is `down` (in the world, of length 1),
-/// legs hang below a trunk and a head is above it: they lie on an upright plane with it that faces
-/// the camera, not at one z-depth, which a camera that looks down has greater below.
-pub(super) fn fill(part: &Part<'_>, down: Option<&Vector3<f64>>, disparity: &mut [Vec<f32>]) {
+/// piece stay at one distance. Legs hang below a trunk and a head is above it: they lie on an
+/// upright plane with it (of [`upright`], by frame), not at one z-depth, which a camera that looks
+/// down has greater below.
+pub(super) fn fill(part: &Part<'_>, upright: &[Vec<f32>], disparity: &mut [Vec<f32>]) {
     let piece = disparity.to_vec();
-    let upright = |k: usize| down.map(|down| upright(part, k, down));
     for (k, disparity) in disparity.iter_mut().enumerate() {
-        let profile = upright(k).unwrap_or_else(|| vec![1.0; disparity.len()]);
-        disparity
-            .iter_mut()
-            .zip(&profile)
-            .for_each(|(d, p)| *d /= p);
-        fill_frame(part, k, disparity);
-        disparity
-            .iter_mut()
-            .zip(&profile)
-            .for_each(|(d, p)| *d *= p);
+        let others: Vec<usize> = (0..disparity.len())
+            .filter(|&g| disparity[g] <= 0.0 && part.has(k, g))
+            .collect();
+        let values = carried(part.blocks.grid.width, &upright[k], &piece[k], &others);
+        for (g, value) in others.into_iter().zip(values) {
+            disparity[g] = value;
+        }
     }
     let filled = disparity.to_vec();
     let (grid, [left, top]) = (part.blocks.grid, part.blocks.corner.map(|c| c as f32));
@@ -170,10 +166,12 @@ pub(super) fn fill(part: &Part<'_>, down: Option<&Vector3<f64>>, disparity: &mut
 }
 
 /// By block of frame `k`, the disparity of an upright plane that faces the camera at unit distance
-/// along the horizon; 1 where the camera looks too steeply for one to be in view.
-fn upright(part: &Part<'_>, k: usize, down: &Vector3<f64>) -> Vec<f32> {
+/// along the horizon; 1 where `down` is not known or the camera looks too steeply for one to be in
+/// view.
+pub(super) fn upright(part: &Part<'_>, k: usize, down: Option<&Vector3<f64>>) -> Vec<f32> {
     let blocks = 0..part.blocks.grid.len();
-    let Some(camera) = part.clip.cameras.get(part.tracklet.first + k) else {
+    let camera = part.clip.cameras.get(part.tracklet.first + k);
+    let (Some(camera), Some(down)) = (camera, down) else {
         return vec![1.0; blocks.len()];
     };
     let down = camera.c2w.rotation.transpose() * down;
@@ -192,22 +190,22 @@ fn upright(part: &Part<'_>, k: usize, down: &Vector3<f64>) -> Vec<f32> {
         .collect()
 }
 
-fn fill_frame(part: &Part<'_>, k: usize, disparity: &mut [f32]) {
-    let width = part.blocks.grid.width;
+/// Disparities of `blocks` of a grid of this width, beside a `piece` (0 elsewhere) on the planes of
+/// `profile`: of the piece its own, of others those of the piece, near ones the more. None where
+/// there is no piece.
+pub(super) fn carried(width: usize, profile: &[f32], piece: &[f32], blocks: &[usize]) -> Vec<f32> {
     let place = |g: usize| [(g % width) as f32, (g / width) as f32];
-    let own: Vec<usize> = (0..disparity.len())
-        .filter(|&g| disparity[g] > 0.0)
-        .collect();
+    let own: Vec<usize> = (0..piece.len()).filter(|&g| piece[g] > 0.0).collect();
     let known: Vec<([f32; 2], f32)> = (own.iter())
         .step_by(own.len().div_ceil(MOST_BLOCKS).max(1))
-        .map(|&g| (place(g), disparity[g]))
+        .map(|&g| (place(g), piece[g] / profile[g]))
         .collect();
     if known.is_empty() {
-        return;
+        return Vec::new();
     }
-    for g in 0..disparity.len() {
-        if disparity[g] > 0.0 || !part.has(k, g) {
-            continue;
+    let value = |&g: &usize| {
+        if piece[g] > 0.0 {
+            return piece[g];
         }
         let [x, y] = place(g);
         let (mut sum, mut weight) = (0.0, 0.0);
@@ -216,14 +214,15 @@ fn fill_frame(part: &Part<'_>, k: usize, disparity: &mut [f32]) {
             sum += near * d;
             weight += near;
         }
-        disparity[g] = sum / weight;
-    }
+        profile[g] * sum / weight
+    };
+    blocks.iter().map(value).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::Tracklet;
-    use super::{Factor, Geometry, Part, agree, fill, flatten, noise_px, ray};
+    use super::{Factor, Geometry, Part, agree, fill, flatten, noise_px, ray, upright};
     use crate::classical::dense::working::ClipData;
     use crate::dba::{Grid, Pinhole};
     use crate::flow::FlowPair;
@@ -348,7 +347,10 @@ mod tests {
         let upper = |g: usize| if g / width < 4 { wall(g) } else { 0.0 };
         let upper: Vec<f32> = blocks.clone().map(upper).collect();
         let mut disparity = vec![upper; FRAMES];
-        fill(&part, Some(&Vector3::y()), &mut disparity);
+        let upright: Vec<Vec<f32>> = (0..FRAMES)
+            .map(|k| upright(&part, k, Some(&Vector3::y())))
+            .collect();
+        fill(&part, &upright, &mut disparity);
         for g in blocks {
             let off = (disparity[1][g] / wall(g)).ln();
             assert!(off.abs() < 1e-4, "block {g}: {off}");
@@ -375,7 +377,8 @@ mod tests {
             (0..part.blocks.grid.len()).map(value).collect()
         };
         let mut disparity: Vec<Vec<f32>> = (0..FRAMES).map(of_frame).collect();
-        fill(&part, None, &mut disparity);
+        let flat = vec![vec![1.0; disparity[0].len()]; FRAMES];
+        fill(&part, &flat, &mut disparity);
         let [left, right] = [0, width - 1].map(|x| disparity[0][4 * width + x]);
         assert!(left > 1.5 && right < 1.5 && right > 1.0, "{left} {right}");
         assert_eq!(disparity[0][0], 2.0);

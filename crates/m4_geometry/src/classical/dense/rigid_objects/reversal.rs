@@ -1,19 +1,23 @@
 //! Depth reversal: from afar, a shape and its mirror image that turns the other way look alike
 //! (Szeliski and Kang 1997). An adjustment that starts from a flat part may take one of them in
 //! some frames and the other in the next. Where the reliefs of neighbouring frames contradict each
-//! other, the frames before or after are mirrored and adjusted again, and the better result stays.
+//! other, or single frames find the mirror image more probable ([`super::shape_prior`]), the frames
+//! before or after are mirrored and adjusted again, and the better result stays.
 
 use super::residual::{offset_px, ray};
 use crate::FrameRate;
 use crate::dba::{Factor, Geometry};
 use m4_core::Se3;
 use nalgebra::{Matrix3, Vector3};
+use std::collections::BTreeSet;
 
 /// Time on each side of a moment over which reliefs are compared, seconds.
 const AROUND_S: f64 = 1.0 / 6.0;
-/// A result is better if its robust squared residuals are lower by this share. With 2 %, parts that
-/// are not rigid are mirrored at random.
+/// A result is better if its robust squared residuals are lower by this share (with 2 %, parts that
+/// are not rigid are mirrored at random), if its shape is more probable by this logarithm, or both
+/// in part.
 const BETTER: f64 = 0.05;
+const SURE: f64 = 6.0;
 /// Most corrections of a part.
 const ROUNDS: usize = 4;
 /// Reliefs count up to this logarithm of depth.
@@ -23,38 +27,63 @@ const LEAST_SHARED: usize = 8;
 /// Nearest depth of a mirrored pixel, as a share of the part's.
 const NEAREST: f64 = 0.3;
 
-/// Mirrors frames of an adjusted part where that explains the flow better; `again` adjusts a
-/// geometry, and `cauchy_px` is the residual that counts half, in pixels of the grid.
+/// Mirrors frames of an adjusted part where that explains the flow and single frames better;
+/// `again` adjusts a geometry, `prior` is the logarithm of the probability of its shape by frame,
+/// and `cauchy_px` is the residual that counts half, in pixels of the grid.
 pub(super) fn resolve(
     geometry: &mut Geometry<f32>,
     edges: &[&Factor<f32>],
     rate: FrameRate,
     cauchy_px: f64,
+    prior: impl Fn(&Geometry<f32>) -> Vec<f64>,
     again: impl Fn(&mut Geometry<f32>) -> Option<()>,
 ) {
     let frames = geometry.frames();
     let reach = rate.frames(AROUND_S).max(2);
-    let mut least = cost(geometry, edges, cauchy_px);
+    let evidence = |geometry: &Geometry<f32>| {
+        let prior: f64 = prior(geometry).iter().sum();
+        prior / SURE - cost(geometry, edges, cauchy_px).ln() / BETTER
+    };
+    let mut most = evidence(geometry);
     for _ in 0..ROUNDS {
-        let mut spans = vec![(0, frames)];
+        let mut spans = BTreeSet::from([(0, frames)]);
         for moment in contradictions(geometry, reach) {
             spans.extend([(0, moment), (moment, frames)]);
+        }
+        if let Some(other) = mirrored(geometry, 0, frames) {
+            spans.extend(improbable(&prior(geometry), &prior(&other)));
         }
         let best = spans
             .into_iter()
             .filter_map(|(from, end)| {
                 let mut other = mirrored(geometry, from, end)?;
                 again(&mut other)?;
-                Some((cost(&other, edges, cauchy_px), other))
+                Some((evidence(&other), other))
             })
-            .min_by(|a, b| a.0.total_cmp(&b.0));
+            .max_by(|a, b| a.0.total_cmp(&b.0));
         match best {
-            Some((cost, other)) if cost < (1.0 - BETTER) * least => {
-                (least, *geometry) = (cost, other);
+            Some((evidence, other)) if evidence > most + 1.0 => {
+                (most, *geometry) = (evidence, other);
             }
             _ => return,
         }
     }
+}
+
+/// The run of first frames, and that of last ones, that gain most by mirroring (logarithms of
+/// probabilities by frame, before and after), if they gain.
+fn improbable(own: &[f64], other: &[f64]) -> Vec<(usize, usize)> {
+    let gain =
+        |(from, end): (usize, usize)| -> f64 { (from..end).map(|k| other[k] - own[k]).sum() };
+    let most = |spans: &mut dyn Iterator<Item = (usize, usize)>| {
+        spans
+            .max_by(|a, b| gain(*a).total_cmp(&gain(*b)))
+            .filter(|span| gain(*span) > 0.0)
+    };
+    let frames = own.len();
+    let first = most(&mut (1..frames).map(|moment| (0, moment)));
+    let last = most(&mut (1..frames).map(|moment| (moment, frames)));
+    first.into_iter().chain(last).collect()
 }
 
 /// The part's own pixels of a frame.
@@ -193,7 +222,7 @@ fn mirrored(geometry: &Geometry<f32>, from: usize, end: usize) -> Option<Geometr
 mod tests {
     //! A bent sheet that turns while the camera rests, seen exactly.
 
-    use super::{Factor, FrameRate, Geometry, cost, mirrored, ray, resolve};
+    use super::{Factor, FrameRate, Geometry, cost, improbable, mirrored, ray, resolve};
     use crate::dba::{DbaOptions, Free, Grid, Pinhole, Problem, adjust};
     use m4_core::Se3;
     use nalgebra::{Vector3, Vector6};
@@ -201,6 +230,7 @@ mod tests {
     const FRAMES: usize = 12;
     const SIDE: usize = 12;
     const CAUCHY_PX: f64 = 0.15;
+    const FILM: FrameRate = FrameRate::FILM;
 
     /// How the sheet is bent: its depth over its middle at a place on it.
     fn relief(x: f64, y: f64) -> f64 {
@@ -303,16 +333,55 @@ mod tests {
             }
             Some(())
         };
+        let unsure = |geometry: &Geometry<f32>| vec![0.0; geometry.frames()];
         let mut wrong = mirrored(&truth, FRAMES / 2, FRAMES).unwrap();
         again(&mut wrong).unwrap();
         let bad = cost(&wrong, &refs, CAUCHY_PX);
-        resolve(&mut wrong, &refs, FrameRate::FILM, CAUCHY_PX, again);
+        resolve(&mut wrong, &refs, FILM, CAUCHY_PX, unsure, again);
         let good = cost(&wrong, &refs, CAUCHY_PX);
         assert!(good < 0.2 * bad, "{bad} {good}");
 
         let mut right = truth.clone();
-        resolve(&mut right, &refs, FrameRate::FILM, CAUCHY_PX, again);
+        resolve(&mut right, &refs, FILM, CAUCHY_PX, unsure, again);
         assert_eq!(right.disparity, truth.disparity);
+    }
+
+    #[test]
+    fn a_part_that_does_not_turn_has_the_more_probable_shape() {
+        let (mut truth, mut edges) = turning();
+        // flow that is off everywhere, whatever the shape
+        for edge in &mut edges {
+            for (g, x) in edge.target_px[0].iter_mut().enumerate() {
+                *x = (g % SIDE) as f32 + 0.1;
+            }
+        }
+        let refs: Vec<&_> = edges.iter().collect();
+        let still = truth.poses[0];
+        truth.poses.fill(still);
+        let first = truth.disparity[0].clone();
+        truth.disparity.fill(first);
+        // the corner is nearer than the middle of the edge, and should be
+        let prior = |geometry: &Geometry<f32>| -> Vec<f64> {
+            let nearer = |d: &Vec<f32>| f64::from(d[0] / d[SIDE / 2] - 1.0).signum();
+            geometry.disparity.iter().map(nearer).collect()
+        };
+        let sign = prior(&truth)[0];
+        let right = |geometry: &Geometry<f32>| -> Vec<f64> {
+            prior(geometry).into_iter().map(|own| own * sign).collect()
+        };
+        let mut wrong = mirrored(&truth, 0, FRAMES).unwrap();
+        assert!(right(&wrong)[0] < 0.0);
+        let again = |_: &mut Geometry<f32>| Some(());
+        resolve(&mut wrong, &refs, FILM, CAUCHY_PX, right, again);
+        assert!(right(&wrong)[0] > 0.0);
+    }
+
+    #[test]
+    fn the_ends_of_a_clip_whose_mirror_images_are_more_probable_are_tried() {
+        let own = [0.0, 0.0, -1.0, 0.5, -2.0, -2.0];
+        let other = own.map(|log: f64| -log);
+        assert_eq!(improbable(&own, &other), vec![(0, 5), (2, 6)]);
+        assert_eq!(improbable(&other, &[0.0; 6]), vec![]);
     }
 
     #[test]

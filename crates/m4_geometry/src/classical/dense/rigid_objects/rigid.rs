@@ -3,6 +3,7 @@
 
 use super::edges::Part;
 use super::shape::{Shape, Whole, shrink_relief};
+use super::shape_prior::ShapePrior;
 use super::{BLOCK_PX, Tracklet, WorkingClip, pieces, relief, reversal, silhouette};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Pinhole, Problem, adjust};
 use m4_core::{Camera, Progress, Se3, quantile};
@@ -53,7 +54,8 @@ pub(super) fn reconstruct(
     progress: &dyn Progress,
 ) -> Option<Shape> {
     let part = Part::of(clip, tracklet);
-    let start = Start::of(&part, before, progress)?;
+    let prior = ShapePrior::of(&part, down.as_ref());
+    let start = Start::of(&part, before, &prior, progress)?;
     let mut edges = part.factors();
     let (geometry, mut disparity) = start.adjust(&part, &edges, None)?;
     shrink_relief(clip, tracklet, &mut disparity);
@@ -84,7 +86,7 @@ pub(super) fn reconstruct(
     let Some(ratio) = quantile(&mut ratios, 0.5) else {
         return Some(whole);
     };
-    relief::fill(&part, down.as_ref(), &mut disparity);
+    relief::fill(&part, &prior.upright, &mut disparity);
     Some(Shape {
         poses: poses(geometry, unit),
         disparity,
@@ -110,11 +112,17 @@ struct Start<'a> {
     geometry: Geometry<f32>,
     /// Disparities count in units of the part's own, so that one prior fits near and far parts.
     unit: f32,
+    prior: &'a ShapePrior,
     progress: &'a dyn Progress,
 }
 
 impl<'a> Start<'a> {
-    fn of(part: &Part<'_>, before: &[Vec<f32>], progress: &'a dyn Progress) -> Option<Self> {
+    fn of(
+        part: &Part<'_>,
+        before: &[Vec<f32>],
+        prior: &'a ShapePrior,
+        progress: &'a dyn Progress,
+    ) -> Option<Self> {
         let (clip, blocks, frames) = (part.clip, &part.blocks, part.frames());
         let (grid, first) = (blocks.grid, part.tracklet.first);
         let suggested = |k: usize, g: usize| {
@@ -166,6 +174,7 @@ impl<'a> Start<'a> {
         Some(Self {
             geometry,
             unit,
+            prior,
             progress,
         })
     }
@@ -213,9 +222,14 @@ impl<'a> Start<'a> {
             solved.then_some(())
         };
         run(&mut geometry, &FROM_AFAR, PRIOR)?;
-        reversal::resolve(&mut geometry, &edges, part.clip.rate, CAUCHY_PX, |other| {
-            run(other, &FROM_NEARBY, PRIOR)
-        });
+        reversal::resolve(
+            &mut geometry,
+            &edges,
+            part.clip.rate,
+            CAUCHY_PX,
+            |other| self.prior.log_probability(other),
+            |other| run(other, &FROM_NEARBY, PRIOR),
+        );
         if piece.is_some() {
             let prior = relief::prior(part, &geometry, &edges)?;
             for _ in 0..ROUNDS {

@@ -1,19 +1,16 @@
 //! The one number that the motion of a part does not reveal.
 
+use super::contact::Feet;
 use super::hinge;
-use super::local_ground::LocalGround;
 use super::shape::Shape;
 use super::vote::Vote;
 use super::{DistanceCue, OCCLUSION_RANGE, Tracklet, WorkingClip};
-use crate::classical::dense::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
+use crate::classical::dense::moving_depth::HIDDEN_QUANTILE;
 use m4_core::quantile;
 
 /// Share of the frames whose lower bound of the scale the scale exceeds, where nothing but bounds
 /// is known.
 const BOUND_QUANTILE: f64 = 0.75;
-/// A region has ground under it where the background there comes nearer by more than this share of
-/// its disparity per row.
-const GROUND_SLOPE: f32 = 0.003;
 /// Least share of its frames in which a region must have ground under it for its scale to be known.
 const STANDING_SHARE: f32 = 0.3;
 /// Standard deviation of the logarithm of a scale by contact, where all frames agree: of outlines
@@ -34,8 +31,6 @@ const ANYWHERE: f64 = 3.7;
 const LEAPS_SIGMA: f64 = 0.2;
 /// Standard deviations by which a fall may be off the scale by a fixed point.
 const HINGE_SIGMAS: f64 = 2.0;
-/// Over how many rows the slope of the ground is read.
-const SLOPE_ROWS: usize = 6;
 
 /// What the frames of a part say about its scale: factors on its disparities.
 pub(super) struct Reading {
@@ -102,9 +97,10 @@ impl Reading {
 /// for the errors of its outline and its shape: the median of those frames. All are in one unit.
 pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Reading> {
     let frames = tracklet.parts.len();
+    let feet = Feet::of(clip, tracklet, &shape.blocks);
     let (mut all, mut standing, mut typical) = (Vec::new(), Vec::new(), Vec::new());
     for k in 0..frames {
-        let Some(bound) = bound(clip, tracklet, shape, k) else {
+        let Some(bound) = bound(clip, tracklet, shape, &feet, k) else {
             continue;
         };
         all.push(bound.factor);
@@ -117,7 +113,7 @@ pub(super) fn read(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -
         quantile(&mut typical, 0.5)?,
     );
     let contact = if share >= STANDING_SHARE {
-        contact(&mut standing)
+        by_contact(&mut standing)
     } else {
         None
     };
@@ -148,7 +144,7 @@ fn fixed_point(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape) -> Op
 /// heights with an exponential distribution, but for 3 %). That spread is drawn to nothing by the
 /// share of the variance that is [`UNSTEADY`] (James and Stein 1961): frames hardly less steady
 /// than feet say little of heights.
-fn contact(standing: &mut [f32]) -> Option<Vote> {
+fn by_contact(standing: &mut [f32]) -> Option<Vote> {
     let vote = Vote::of_frames(standing, CONTACT_SIGMA)?;
     let variance = vote.sigma.powi(2) - CONTACT_SIGMA.powi(2);
     let height = match variance > UNSTEADY.powi(2) {
@@ -223,9 +219,8 @@ struct Bound {
     feet: f32,
     /// Median disparity of the part.
     typical: f32,
-    /// How fast what lies under the part comes nearer downwards, as a share of its disparity a row:
-    /// a wall's is about 0.
-    slope: f32,
+    /// Whether that is ground.
+    on_ground: bool,
 }
 
 impl Bound {
@@ -233,52 +228,37 @@ impl Bound {
     /// nothing then: beside something static in front of the part, the background that is filled in
     /// behind it is as near as that.
     fn standing(&self) -> Option<f32> {
-        (self.slope > GROUND_SLOPE && self.feet > 0.0).then_some(self.feet)
+        (self.on_ground && self.feet > 0.0).then_some(self.feet)
     }
 }
 
-fn bound(clip: &WorkingClip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<Bound> {
-    let (w, h) = (clip.width, clip.height);
-    let i = tracklet.first + k;
-    let background = &clip.disparity[i];
-    let pixels = &tracklet.parts[k];
-    let row = |i: u32| i as usize / w;
-    let (top, bottom) = (row(*pixels.first()?), row(*pixels.last()?));
-    let feet_from = bottom - ((bottom - top) as f32 * FEET_SHARE) as usize;
-    let local = match bottom + 1 + BELOW_PX < h {
-        true => LocalGround::under(clip, i, pixels),
-        false => None,
-    };
-    let (mut feet, mut hidden, mut own, mut slope) =
-        (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    for (p, d) in shape.values(clip, k) {
-        own.push(d);
-        hidden.push(background[p as usize] / d);
-        if row(p) + 2 >= feet_from
-            && let Some(local) = &local
-        {
-            let x = p as usize % w;
-            feet.push((local.at(x as f64, bottom as f64) as f32).max(0.0) / d);
-            let below = bottom + BELOW_PX;
-            let further = (below + SLOPE_ROWS).min(h - 1);
-            let ground = |y: usize| background[y * w + x];
-            slope.push((ground(further) / ground(below) - 1.0) / (further - below).max(1) as f32);
-        }
-    }
-    let feet = quantile(&mut feet, 0.5).unwrap_or(0.0);
+fn bound(
+    clip: &WorkingClip<'_>,
+    tracklet: &Tracklet,
+    shape: &Shape,
+    feet: &Feet,
+    k: usize,
+) -> Option<Bound> {
+    let background = &clip.disparity[tracklet.first + k];
+    let (mut own, mut hidden): (Vec<f32>, Vec<f32>) = shape
+        .values(clip, k)
+        .map(|(p, d)| (d, background[p as usize] / d))
+        .unzip();
+    let on_ground = feet.on_ground(k);
+    let feet = feet.factor(k, shape).unwrap_or(0.0);
     let hidden = quantile(&mut hidden, HIDDEN_QUANTILE).unwrap_or(0.0);
     let factor = feet.max(hidden);
     (factor > 0.0).then_some(Bound {
         factor,
         feet,
+        on_ground,
         typical: quantile(&mut own, 0.5)?,
-        slope: quantile(&mut slope, 0.5).unwrap_or(0.0),
     })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Decision, DistanceCue, Reading, Vote, contact, decide};
+    use super::{Decision, DistanceCue, Reading, Vote, by_contact, decide};
 
     #[test]
     fn the_surer_of_contact_and_hinge_decides_and_both_are_averaged_where_they_agree() {
@@ -349,7 +329,7 @@ mod tests {
             let mut factors: Vec<f32> = (0..200)
                 .map(|k| (height * (1.0 - (k as f64 + 0.5) / 200.0).ln()).exp() as f32)
                 .collect();
-            contact(&mut factors).unwrap()
+            by_contact(&mut factors).unwrap()
         };
         for height in [0.2, 0.4] {
             let vote = leaps(height);
