@@ -2,8 +2,8 @@
 //!
 //! Nothing is below the ground, so the lowest point of each column of a part is a lower bound of
 //! its scale: it touches the ground or hangs above it. The scale of the frame is the most probable
-//! one if each column does either. How probable that is tells shapes apart: of a cart and its mirror
-//! image, one has all wheels on the ground.
+//! one if each column does either. How probable that is tells shapes apart: of a cart and its
+//! mirror image, one has all wheels on the ground.
 
 use super::edges::Blocks;
 use super::local_ground::LocalGround;
