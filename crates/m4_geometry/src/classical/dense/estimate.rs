@@ -137,7 +137,7 @@ pub fn estimate(
         rate,
         cameras: &clues.cameras,
         dynamic: &dynamic,
-        disparity: if parallax { &refined } else { &filled },
+        disparity: &filled,
         flows: &flows,
     };
     let mut disparity = if parallax || !mono.is_empty() {
