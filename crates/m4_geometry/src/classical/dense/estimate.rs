@@ -149,14 +149,14 @@ pub fn estimate(
         true => rigid_objects::place(&scene, |i| clip.smoother(i), &mut disparity, progress)?,
         false => Vec::new(),
     };
-    for ((disparity, refined), dynamic) in disparity.iter_mut().zip(&refined).zip(&dynamic) {
+    for ((disparity, refined), dynamic) in disparity.iter_mut().zip(refined).zip(&dynamic) {
         for ((d, refined), _) in disparity
             .iter_mut()
             .zip(refined)
             .zip(dynamic)
             .filter(|(_, moves)| **moves == 0)
         {
-            *d = *refined;
+            *d = refined;
         }
     }
     for i in 0..count {

@@ -29,7 +29,7 @@ const WRONG: f64 = 1e-4;
 const STEP: f64 = 0.0025;
 const BELOW: f64 = 0.25;
 const ABOVE: f64 = 0.02;
-/// Neighbouring columns and frames of this time, seconds, are off alike: so many count as one.
+/// Neighbouring columns, and frames within this time, seconds, are off alike and count as one.
 const COLUMNS_ALIKE: f64 = 3.0;
 const ALIKE_S: f64 = 1.0 / 6.0;
 /// A region has ground under it where the background there comes nearer by more than this share of
