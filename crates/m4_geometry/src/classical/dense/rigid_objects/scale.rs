@@ -26,9 +26,6 @@ const ELSEWHERE: f64 = 1.6;
 /// The same for a part that seems to turn about a fixed point.
 const TURNS: f64 = 0.5;
 const ANYWHERE: f64 = 3.7;
-/// What just moves has a fixed point as sure as this, or surer, by chance in proportion to its
-/// standard deviation.
-const BY_CHANCE: f64 = 0.1;
 /// What falls in some frames stands in few of the others: it adds this to the standard deviation of
 /// the logarithm of its scale by contact.
 const LEAPS_SIGMA: f64 = 0.2;
@@ -173,7 +170,6 @@ fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
         let off = (log - vote.factor.ln()) / vote.sigma;
         (-0.5 * off * off).exp() / (vote.sigma * std::f64::consts::TAU.sqrt())
     };
-    let moves = (1.0 - TURNS) / ANYWHERE * (hinge.sigma / BY_CHANCE).min(1.0);
     let likelihood = |candidate: &Decision| {
         let log = candidate.vote.factor.ln();
         let hovers = log > contact.factor.ln() - contact.sigma;
@@ -182,7 +178,7 @@ fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
         } else {
             0.0
         };
-        (STANDS * density(contact, log) + elsewhere) * (TURNS * density(hinge, log) + moves)
+        (STANDS * density(contact, log) + elsewhere) * (TURNS * density(hinge, log) + (1.0 - TURNS) / ANYWHERE)
     };
     let surer = if hinge.sigma < contact.sigma {
         DistanceCue::FixedPoint
