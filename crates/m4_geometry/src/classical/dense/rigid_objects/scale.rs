@@ -178,7 +178,8 @@ fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
         } else {
             0.0
         };
-        (STANDS * density(contact, log) + elsewhere) * (TURNS * density(hinge, log) + (1.0 - TURNS) / ANYWHERE)
+        (STANDS * density(contact, log) + elsewhere)
+            * (TURNS * density(hinge, log) + (1.0 - TURNS) / ANYWHERE)
     };
     let surer = if hinge.sigma < contact.sigma {
         DistanceCue::FixedPoint
