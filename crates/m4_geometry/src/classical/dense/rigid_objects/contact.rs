@@ -75,9 +75,17 @@ impl Feet {
     /// The factor on the disparities of a shape by the ground under it in frame `k`; `None` where
     /// no column says anything.
     pub fn factor(&self, k: usize, shape: &Shape) -> Option<f32> {
-        let ends = self.frames[k].ends.iter().filter(|end| end.lowest);
-        let columns: Vec<f64> = ends
-            .filter_map(|end| end.scale(shape.disparity[k][end.block]))
+        let disparity = &shape.disparity[k];
+        self.factor_of(k, |blocks| blocks.iter().map(|&g| disparity[g]).collect())
+    }
+
+    /// The same of disparities that are given for blocks; 0 for those that do not count.
+    pub fn factor_of(&self, k: usize, disparity: impl Fn(&[usize]) -> Vec<f32>) -> Option<f32> {
+        let ends = || self.frames[k].ends.iter().filter(|end| end.lowest);
+        let blocks: Vec<usize> = ends().map(|end| end.block).collect();
+        let columns: Vec<f64> = ends()
+            .zip(disparity(&blocks))
+            .filter_map(|(end, d)| end.scale(d))
             .collect();
         touching(&columns).map(|(_, scale)| scale.exp() as f32)
     }

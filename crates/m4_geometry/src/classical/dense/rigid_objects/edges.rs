@@ -46,6 +46,15 @@ impl Blocks {
             (top + g / self.grid.width) * BLOCK_PX,
         )
     }
+
+    /// The blocks up to this distance from one along rows and columns, with it.
+    pub fn near(&self, g: usize, distance: usize) -> impl Iterator<Item = usize> + use<> {
+        let Grid { width, height } = self.grid;
+        let around =
+            |at: usize, end: usize| at.saturating_sub(distance)..(at + distance + 1).min(end);
+        let columns = around(g % width, width);
+        around(g / width, height).flat_map(move |y| columns.clone().map(move |x| y * width + x))
+    }
 }
 
 /// A part and its blocks.

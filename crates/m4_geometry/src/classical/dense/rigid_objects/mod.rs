@@ -8,8 +8,8 @@
 //!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale;
 //!                reversal: frames that took the mirror image are turned back, by the flow and by
 //!                shape_prior: a part stands on the ground (contact) and bulges towards the camera
-//!             -> pieces: the largest piece that is rigid, by the space of its paths; it is adjusted alone, and
-//!                relief carries its shape on to the rest
+//!             -> pieces: what is rigid in it, by the space of its paths; each piece is adjusted alone, joints
+//!                puts them at their distances, and relief carries their shape on to the rest
 //!             -> scale: the one number that is left, by contact, hinge or fall
 //!             -> ballistic: objects in flight share one acceleration
 //! ```
@@ -23,6 +23,7 @@ mod edges;
 mod flight;
 mod ground;
 mod hinge;
+mod joints;
 mod local_ground;
 mod pieces;
 mod relief;

@@ -4,7 +4,7 @@
 use super::edges::Part;
 use super::shape::{Shape, Whole, shrink_relief};
 use super::shape_prior::ShapePrior;
-use super::{BLOCK_PX, Tracklet, WorkingClip, pieces, relief, reversal, silhouette};
+use super::{BLOCK_PX, Tracklet, WorkingClip, joints, pieces, relief, reversal, silhouette};
 use crate::dba::{DbaOptions, Factor, Free, Geometry, Pinhole, Problem, adjust};
 use m4_core::{Camera, Progress, Se3, quantile};
 use nalgebra::Vector3;
@@ -43,9 +43,9 @@ const HELD: [(Free, usize, f64); 1] = [(Free::PosesAndDepth, 8, 1.0)];
 /// How often relief is held to a plane at the distance of each frame.
 const ROUNDS: usize = 5;
 
-/// Adjusts one part; `before` is the disparity that it was believed to have. What is rigid in it
-/// has the shape of that piece alone; the rest is above or below the nearest of it, by `down` (in
-/// the world, of length 1), or as far as that. Stops between steps where `progress` says so.
+/// Adjusts one part; `before` is the disparity that it was believed to have. Its rigid pieces have
+/// the shape of each alone; the rest is above or below the nearest of them, by `down` (in the world,
+/// of length 1), or as far as that. Stops between steps where `progress` says so.
 pub(super) fn reconstruct(
     clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
@@ -56,8 +56,7 @@ pub(super) fn reconstruct(
     let part = Part::of(clip, tracklet);
     let prior = ShapePrior::of(&part, down.as_ref());
     let start = Start::of(&part, before, &prior, progress)?;
-    let mut edges = part.factors();
-    let (geometry, mut disparity) = start.adjust(&part, &edges, None)?;
+    let (geometry, mut disparity) = start.adjust(&part, &part.factors(), None)?;
     shrink_relief(clip, tracklet, &mut disparity);
     let unit = f64::from(start.unit);
     let whole = Shape {
@@ -66,18 +65,23 @@ pub(super) fn reconstruct(
         disparity,
         whole: None,
     };
-    let piece = pieces::largest_piece(&part).and_then(|piece| {
+    let pieces = pieces::pieces(&part);
+    let mut adjusted = pieces.iter().map_while(|piece| {
+        let mut edges = part.factors();
         for edge in &mut edges {
             for weight in &mut edge.weight {
                 let own = weight.iter_mut().zip(&piece[edge.source]);
                 own.for_each(|(weight, share)| *weight *= share);
             }
         }
-        start.adjust(&part, &edges, Some(&piece))
+        start.adjust(&part, &edges, Some(piece))
     });
-    let Some((geometry, mut disparity)) = piece else {
+    let Some((geometry, mut disparity)) = adjusted.next() else {
         return Some(whole);
     };
+    for (_, other) in adjusted {
+        joints::attach(&part, &prior, &mut disparity, &other);
+    }
     let mut ratios: Vec<f32> = (disparity.iter().flatten())
         .zip(whole.disparity.iter().flatten())
         .filter(|(own, of_whole)| **own > 0.0 && **of_whole > 0.0)
@@ -86,6 +90,12 @@ pub(super) fn reconstruct(
     let Some(ratio) = quantile(&mut ratios, 0.5) else {
         return Some(whole);
     };
+    // A frame without a piece has the shape of the whole.
+    for (own, of_whole) in disparity.iter_mut().zip(&whole.disparity) {
+        if own.iter().all(|d| *d <= 0.0) {
+            *own = of_whole.iter().map(|d| d * ratio).collect();
+        }
+    }
     relief::fill(&part, &prior.upright, &mut disparity);
     Some(Shape {
         poses: poses(geometry, unit),

@@ -159,7 +159,7 @@ fn by_contact(standing: &mut [f32]) -> Option<Vote> {
 
 /// The most probable scale. Either vote may be mistaken: what has ground under it may hover, which
 /// puts it nearer, and what seems to turn may just move.
-fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
+pub(super) fn decide(contact: Option<Vote>, hinge: Option<Vote>) -> Option<Decision> {
     let by = |cue| move |vote| Decision { vote, cue };
     let (Some(contact), Some(hinge)) = (contact, hinge) else {
         return contact

@@ -21,7 +21,7 @@ const LEAST_BLOCKS: usize = 8;
 
 /// What single frames say of the shape of a part.
 pub(super) struct ShapePrior {
-    feet: Feet,
+    pub feet: Feet,
     /// Upright planes by frame and block ([`relief::upright`]).
     pub upright: Vec<Vec<f32>>,
     /// Root of the distance from the outline by frame and block, pixels; 0 outside.
