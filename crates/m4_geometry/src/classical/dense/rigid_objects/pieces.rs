@@ -41,7 +41,8 @@ const PURPOSE: u64 = 0x9_1ece;
 pub(super) type Shares = Vec<Vec<f32>>;
 
 /// The rigid pieces of a part, largest first. Each is searched for in the blocks that are in none
-/// before it. While two move as one, the first has the blocks of both, and the second keeps its own.
+/// before it. While two move as one, the first has the blocks of both, and the second keeps those
+/// that it has before or after.
 pub(super) fn pieces(part: &Part<'_>) -> Vec<Shares> {
     let mut pieces: Vec<Shares> = Vec::new();
     while pieces.len() < MOST_PIECES {

@@ -43,9 +43,9 @@ const HELD: [(Free, usize, f64); 1] = [(Free::PosesAndDepth, 8, 1.0)];
 /// How often relief is held to a plane at the distance of each frame.
 const ROUNDS: usize = 5;
 
-/// Adjusts one part; `before` is the disparity that it was believed to have. Its rigid pieces have
-/// the shape of each alone; the rest is above or below the nearest of them, by `down` (in the world,
-/// of length 1), or as far as that. Stops between steps where `progress` says so.
+/// Adjusts one part; `before` is the disparity that it was believed to have. Each rigid piece of it
+/// has its shape by itself; the rest is above or below the nearest of them, by `down` (in the
+/// world, of length 1), or as far as that. Stops between steps where `progress` says so.
 pub(super) fn reconstruct(
     clip: &WorkingClip<'_>,
     tracklet: &Tracklet,
