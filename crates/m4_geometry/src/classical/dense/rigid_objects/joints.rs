@@ -181,9 +181,8 @@ mod tests {
             joined.for_each(|(shape, d)| *shape = *d);
         }
         attach(&part, &prior, &mut shape, &vec![right; FRAMES]);
-        let last = (part.blocks.near(0, part.blocks.grid.len()).last()).unwrap();
-        let column = last % part.blocks.grid.width;
-        shape[FRAMES - 1][column]
+        let of_right = part.blocks.grid.width - 1;
+        shape[FRAMES - 1][of_right]
     }
 
     #[test]
